@@ -1,0 +1,1 @@
+"""Running estimators on scenarios, scoring them, and telling what came out."""

@@ -1,0 +1,88 @@
+"""Driving one estimator through one world: the only loop in the suite that feeds measurements, one step at a time.
+
+Causality holds by construction, closed loops work, and estimators' time is measured apart from everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimators.interface import Estimate, Estimator
+from ..scenarios.model import DesignModel
+from ..scenarios.randomness import RunRandom
+from ..scenarios.setting import Setting
+from ..scenarios.world import Step, World
+from .scoring import Scored, Scorer
+
+Array = NDArray[np.float64]
+Watch = Callable[[int, Estimate, Step], None]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Outcome of a drive. seconds: time inside the estimator; steps: how many steps were driven (all runs together)."""
+
+    scored: Scored
+    outcomes: dict[tuple[str, str, str], Array]
+    seconds: float
+    steps: int
+
+
+def drive(setting: Setting[Any], world: World, estimator: Estimator, model: DesignModel, random: RunRandom,
+          watch: Watch | None = None) -> Driven:
+    """Run a designed estimator through a world and score it as the scenario says. `watch` sees each scored step."""
+    score = setting.config.score
+    skip = round(score.skip / setting.config.time.period)
+    runs = world.initial_mean.shape[1]
+    scorer = Scorer(setting.quantities(), runs, world.steps, skip, dict(score.divergence), model.performance)
+    before_update = score.at == "prediction"
+    seconds = 0.0
+    begun = perf_counter()
+    estimator.start(model, runs, random)
+    estimate = estimator.estimate()
+    seconds += perf_counter() - begun
+    mean = estimate.mean
+    driven = 0
+    for k in range(world.steps):
+        step = world.step(k, mean)
+        if not step.active.any():
+            break
+        last = len(step.events) - 1
+        begun = perf_counter()
+        for number, event in enumerate(step.events):
+            if not (isinstance(event.portion, float) and event.portion == 0.0):
+                estimator.predict(step.u, event.portion)
+            if before_update and number == last:
+                estimate = estimator.estimate()
+                seconds += perf_counter() - begun
+                scorer.add(k, estimate, step)
+                if watch:
+                    watch(k, estimate, step)
+                begun = perf_counter()
+            estimator.update(event.y, event.received)
+        if not before_update or world.closed_loop:
+            estimate = estimator.estimate()
+            mean = estimate.mean
+        seconds += perf_counter() - begun
+        if not before_update:
+            scorer.add(k, estimate, step)
+            if watch:
+                watch(k, estimate, step)
+        driven += 1
+    scored = scorer.finish(estimator.status, estimator.reason)
+    bad = scored.status != 0
+    outcomes = {key: np.where(bad, np.nan, value) for key, value in setting.outcomes(world, scored.metrics).items()}
+    return Driven(scored, outcomes, seconds, driven)
+
+
+def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],
+            knowledge: Mapping[str, Any], initial_mean: Array) -> tuple[Estimator, DesignModel]:
+    """A configured estimator and its design model, checked against each other. Raises Unsupported, ValidationError."""
+    model = setting.design_model(knowledge, initial_mean)
+    estimator_class.require(model)
+    return estimator_class(parameters), model

@@ -1,0 +1,125 @@
+"""The estimator interface: a design step, then start / predict / update / estimate over a batch of runs.
+
+Everything numerical carries the runs as its last axis. One instance serves one batch of runs, fed one step at a time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import DesignModel, Portion
+from ..scenarios.randomness import RunRandom
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Status(IntEnum):
+    """How a run of an estimator ended. Everything but `ok` is shown with a line that replays it."""
+
+    ok = 0
+    diverged = 1
+    failed = 2
+    infeasible = 3
+    crashed = 4
+    timeout = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What an estimator claims at this moment; parts it does not claim are None. S runs, nx states.
+
+    mean (nx, S). parameter (np, S): estimates of the unknown parameters that stand behind the state in the truth
+    vector. covariance (nx, nx, S), or (nx, nx, 1) where all runs share it. ellipsoid Pi (nx, nx, S or 1): the claim
+    e' Pi^-1 e <= 1. bound (S or 1,): the claim E |M e|^2 <= bound, with M the design model's `performance`.
+    diversity (S,): distinct parameter values among the particles, for figures."""
+
+    mean: Array
+    parameter: Array | None = None
+    covariance: Array | None = None
+    ellipsoid: Array | None = None
+    bound: Array | None = None
+    diversity: Array | None = None
+
+
+class Parameters(BaseModel):
+    """Base of an estimator's parameters. Give each field a description with its unit and source."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Estimator(ABC):
+    """A plug-in. Subclasses set the class attributes and the four recursive methods; `design` is optional.
+
+    summary: one line for `railstate list`. needs: names of `DesignModel` parts that must not be None (checked before
+    `design`). claims: fields of `Estimate` it fills beyond the mean. source: paper, equation or book.
+
+    status (S,) of `Status` values and `reason`: an estimator that notices that a run has gone wrong (covariance no
+    longer positive definite, all weights zero) sets status[s], keeps its numbers finite or NaN for that run only, and
+    gives the reason; it raises nothing. A design problem without solution raises `Infeasible` in `design`."""
+
+    Parameters: ClassVar[type[Parameters]] = Parameters
+    summary: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    needs: ClassVar[tuple[str, ...]] = ()
+    claims: ClassVar[tuple[str, ...]] = ()
+
+    status: NDArray[np.int8]
+    reason: str = ""
+
+    def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
+        """parameters: as in the scenario file. Raises pydantic's ValidationError naming the field."""
+        self.parameters: Any = self.Parameters.model_validate(dict(parameters or {}))
+
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        """Raise `Unsupported` where the model lacks a part this estimator needs."""
+        missing = [part for part in cls.needs if getattr(model, part) is None]
+        if missing:
+            raise Unsupported(f"{cls.__name__} needs {', '.join(missing)} of the design model, which this scenario "
+                              "does not give")
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        """Offline work before the first step (gains, LMIs), timed apart. Returns what `railstate design` prints.
+
+        A key `design_s` overrides the measured seconds (a cached design tells the time of the fresh one), `cached`
+        tells the two apart. Raises `Infeasible`."""
+        return {}
+
+    @abstractmethod
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        """Begin a batch of `runs` runs from model.initial_mean, model.initial_covariance.
+
+        random: this estimator's own stream of each run, the only source of random numbers it may use. Call
+        `super().start(model, runs, random)` first."""
+        self.model = model
+        self.runs = runs
+        self.status = np.zeros(runs, dtype=np.int8)
+
+    @abstractmethod
+    def predict(self, u: Array, portion: Portion) -> None:
+        """Go `portion` sampling periods ahead with input u (nu, S). portion: a number or one per run (S,)."""
+
+    @abstractmethod
+    def update(self, y: Array, received: Mask) -> None:
+        """Use the elements of y (ny, S) where received (ny, S) is true; the others are not to be read."""
+
+    @abstractmethod
+    def estimate(self) -> Estimate:
+        """The present estimate. The arrays may be reused by later steps: callers copy what they keep."""
+
+
+def flag(estimator: Estimator, failed: Mask, status: Status, reason: str) -> None:
+    """Mark the runs of `failed` (S,) that were fine so far."""
+    new = failed & (estimator.status == Status.ok)
+    if new.any():
+        estimator.status[new] = status
+        estimator.reason = estimator.reason or reason

@@ -1,0 +1,167 @@
+"""Reading scenario files: TOML, variants as named overrides, all mistakes of a file reported at once.
+
+A `Scenario` is the file read; `scenario.setting(variant)` is one variant of it, ready to simulate."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from .errors import InputError
+from .registry import scenario_files, setting_for
+from .setting import Setting
+
+VARIANT_KEYS = {"title", "notes", "origin", "fitted", "time", "plant", "disturbance", "sensors", "channel",
+                "knowledge", "score", "estimators"}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario file: `name`, its variants (first = default) as complete tables, and where it was read from."""
+
+    name: str
+    where: str
+    variants: dict[str, dict[str, Any]] = field(repr=False)
+
+    @property
+    def default(self) -> str:
+        return next(iter(self.variants))
+
+    def setting(self, variant: str) -> Setting[Any]:
+        """The setting of one variant. Raises InputError for an unknown variant."""
+        if variant not in self.variants:
+            raise InputError(f"{self.where}: there is no variant \"{variant}\"; allowed: {', '.join(self.variants)}")
+        table = self.variants[variant]
+        kind = setting_for(table["plant"]["kind"], self.where)
+        return kind(kind.Config.model_validate(table))
+
+    def content_hash(self, variant: str) -> str:
+        """Hash of the variant's resolved content (not of its name or the file's layout)."""
+        text = json.dumps(self.variants[variant], sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """A scenario by built-in name or path of a TOML file, with `--set` overrides (dotted key -> value) on every
+    variant. Raises InputError with all mistakes of the file."""
+    path = scenario_files().get(name)
+    if path is None:
+        path = Path(name)
+        if not path.exists():
+            near = difflib.get_close_matches(name, scenario_files(), 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
+            raise InputError(f"{name}: no such scenario and no such file{hint}; built in: {', '.join(scenario_files())}")
+        if path.is_dir():
+            raise InputError(f"{name}: is a directory; a scenario is a TOML file or one of "
+                             f"{', '.join(scenario_files())}")
+    where = name if name in scenario_files() else str(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: not valid TOML: {error}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{where}: cannot be read: {error}") from None
+    return parse(table, where, overrides)
+
+
+def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """A scenario from its TOML table; `where` stands in the messages. Raises InputError with all mistakes."""
+    if not table:
+        raise InputError(f"{where}: the file is empty; a scenario needs name, title, [time], [plant], [estimators]")
+    base = {key: value for key, value in table.items() if key != "variants"}
+    named = table.get("variants", {"default": {}})
+    if not isinstance(named, dict) or not named or not all(isinstance(value, dict) for value in named.values()):
+        raise InputError(f"{where}: variants must be tables such as [variants.NAME]")
+    mistakes: list[str] = []
+    variants: dict[str, dict[str, Any]] = {}
+    for variant, changes in named.items():
+        unknown = sorted(set(changes) - VARIANT_KEYS)
+        if unknown:
+            mistakes.append(f"variants.{variant}: unknown key {', '.join(unknown)}; allowed: "
+                            f"{', '.join(sorted(VARIANT_KEYS))}")
+            continue
+        if not changes and len(named) > 1 and variant != next(iter(named)):
+            mistakes.append(f"variants.{variant}: changes nothing; allowed: at least one of "
+                            f"{', '.join(sorted(VARIANT_KEYS))}")
+        merged = merge(base, changes)
+        for key, value in (overrides or {}).items():
+            merged = set_dotted(merged, key, value)
+        found = validate(merged, where)
+        prefix = f"variants.{variant}: " if changes else ""
+        mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
+        variants[variant] = merged
+    if mistakes:
+        raise InputError("\n".join(f"{where}: {mistake}" for mistake in _without_repeats(mistakes)))
+    return Scenario(base["name"], where, variants)
+
+
+def validate(table: dict[str, Any], where: str) -> list[str]:
+    """The mistakes of one resolved variant, each `path: what is wrong; what is allowed`."""
+    plant = table.get("plant")
+    if not isinstance(plant, dict) or not isinstance(plant.get("kind"), str):
+        return ["plant.kind: missing; it names the plant, such as kind = \"metro\""]
+    try:
+        kind = setting_for(plant["kind"], where)
+    except InputError as error:
+        return [str(error).removeprefix(f"{where}: ")]
+    try:
+        setting = kind(kind.Config.model_validate(table))
+    except ValidationError as error:
+        return describe(error)
+    mistakes: list[str] = []
+    for label, entry in setting.config.estimators.items():
+        try:
+            setting.resolve_knowledge(entry.knowledge)
+        except ValidationError as error:
+            mistakes += describe(error, f"estimators.{label}.knowledge")
+    return mistakes
+
+
+def describe(error: ValidationError, prefix: str = "") -> list[str]:
+    """pydantic's errors as lines `dotted.path: message (got ..)`."""
+    lines = []
+    for item in error.errors(include_url=False):
+        path = ".".join(str(part) for part in ([prefix] if prefix else []) + list(item["loc"]))
+        got = item["input"]
+        message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
+        message = message.removeprefix("Value error, ")
+        shown = "" if item["type"] == "missing" or isinstance(got, dict) else f" (got {got!r})"
+        lines.append(f"{path}: {message}{shown}")
+    return lines
+
+
+def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `changes` on top, tables merged key by key; a table whose `kind` changes is replaced whole."""
+    out = dict(base)
+    for key, value in changes.items():
+        old = out.get(key)
+        if isinstance(old, dict) and isinstance(value, dict) and value.get("kind", old.get("kind")) == old.get("kind"):
+            out[key] = merge(old, value)
+        else:
+            out[key] = value
+    return out
+
+
+def set_dotted(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """`table` with one dotted key set (`channel.trains`)."""
+    head, _, rest = key.partition(".")
+    if not rest:
+        return {**table, head: value}
+    inner = table.get(head, {})
+    if not isinstance(inner, dict):
+        raise InputError(f"--set {key}: {head} is not a table")
+    return {**table, head: set_dotted(inner, rest, value)}
+
+
+def _without_repeats(mistakes: list[str]) -> list[str]:
+    """A mistake of the base file shows once, not once per variant."""
+    bare = [m.split(": ", 1)[1] if m.startswith("variants.") else m for m in mistakes]
+    return [m for i, m in enumerate(mistakes) if bare[i] not in bare[:i]]

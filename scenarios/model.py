@@ -1,0 +1,162 @@
+"""The design model: what an estimator is *told*. Truth lives in `world.py`; mismatch between the two is the point.
+
+All callables work on arrays whose *last* axis is the runs; extra axes (sigma points) may stand in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Portion = float | Array
+"""A length of time in sampling periods: a number, or one per run (S,). 1.0 is a whole step."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """x(k+1) = A x + B u + h + process noise, y = C x + measurement noise. Matrices may depend on the step k.
+
+    A (nx, nx), B (nx, nu), h (nx,), C (ny, nx), Q (nx, nx), R (ny, ny); `constant` promises that k does not matter.
+    `A(k)` leads from step k to step k + 1; `C(k)` belongs to the measurement of step k."""
+
+    A: Callable[[int], Array]
+    B: Callable[[int], Array]
+    h: Callable[[int], Array]
+    C: Callable[[int], Array]
+    Q: Callable[[int], Array]
+    R: Callable[[int], Array]
+    constant: bool = True
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Unknown-but-bounded knowledge: x+ = f(x, u) + G w, |w_i| <= w_bar_i; y = h(x) + v, |v_i| <= v_bar_i.
+
+    G (nx, nw), w_bar (nw,), v_bar (ny,). Linearisation error f(x) - f(x^) = (A + M Delta N) e with |Delta| <= 1,
+    M (nx, 1), N (1, nx) without its factor kappa; `kappa(x, u, Pi)` gives that factor, shape (S,), from the estimate
+    (nx, S), input (nu, S) and the error bound's shape matrix Pi (nx, nx, S). None: the plant is linear."""
+
+    G: Array
+    w_bar: Array
+    v_bar: Array
+    M: Array | None = None
+    N: Array | None = None
+    kappa: Callable[[Array, Array, Array], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Modes:
+    """A discrete parameter theta on a grid, a linear model for each value (multiple-model and particle estimators).
+
+    grid (m,); A (m, nx, nx), B (m, nx, nu) exact zero-order hold; C (ny, nx); Q (nx, nx); R (ny, ny).
+    prior (m,) over the grid; name and unit of the parameter."""
+
+    name: str
+    grid: Array
+    A: Array
+    B: Array
+    C: Array
+    Q: Array
+    R: Array
+    prior: Array
+
+
+@dataclass(frozen=True)
+class Reception:
+    """What is known of the channel: bounds of the reception probability, or each node's probability and sensors.
+
+    p_low <= Prob(received) <= p_high. `nodes[i]` lists the measurement indices of node i, `p[i]` its probability of
+    being the one that transmits (random access)."""
+
+    p_low: float = 1.0
+    p_high: float = 1.0
+    nodes: tuple[tuple[int, ...], ...] = ()
+    p: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class DesignModel:
+    """What an estimator is told of the plant. Optional parts are None where the scenario does not give them.
+
+    transition(x, u, k, portion): (nx, .., S) -> (nx, .., S), the state `portion` sampling periods later; u (nu, S).
+    measurement(x, k): (nx, .., S) -> (ny, .., S).
+    transition_jacobian(x, u, k, portion): (nx, S) -> (nx, nx, S) or (nx, nx, 1) where all runs share it.
+    measurement_jacobian(x, k): (nx, S) -> (ny, nx, S or 1).
+    process_covariance(x, u, k, portion): (nx, nx, S or 1), PSD. measurement_covariance(k): (ny, ny, 1), PD.
+    initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
+    `k` counts the estimator's predictions so far; only time-varying models look at it.
+    `details` carries plant-specific knowledge for estimators written for that plant (keys documented by the setting)."""
+
+    states: tuple[str, ...]
+    measurements: tuple[str, ...]
+    period: float
+    transition: Callable[[Array, Array, int, Portion], Array]
+    measurement: Callable[[Array, int], Array]
+    transition_jacobian: Callable[[Array, Array, int, Portion], Array] | None
+    measurement_jacobian: Callable[[Array, int], Array] | None
+    process_covariance: Callable[[Array, Array, int, Portion], Array] | None
+    measurement_covariance: Callable[[int], Array] | None
+    initial_mean: Array
+    initial_covariance: Array
+    linear: Linear | None = None
+    bounds: Bounds | None = None
+    modes: Modes | None = None
+    reception: Reception | None = None
+    performance: Array | None = None
+    details: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def nx(self) -> int:
+        return len(self.states)
+
+    @property
+    def ny(self) -> int:
+        return len(self.measurements)
+
+
+def linear_model(
+    linear: Linear,
+    *,
+    states: tuple[str, ...],
+    measurements: tuple[str, ...],
+    period: float,
+    initial_mean: Array,
+    initial_covariance: Array,
+    **parts: object,
+) -> DesignModel:
+    """A design model from its matrices: the callables of `DesignModel` filled in (whole steps only)."""
+
+    def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        moved = _product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
+        if u.shape[0]:
+            drive = _product(linear.B(k), u)
+            moved = moved + drive.reshape(drive.shape[:1] + (1,) * (x.ndim - 2) + drive.shape[1:])
+        return moved
+
+    return DesignModel(
+        states=states,
+        measurements=measurements,
+        period=period,
+        transition=transition,
+        measurement=lambda x, k: _product(linear.C(k), x),
+        transition_jacobian=lambda x, u, k, portion: linear.A(k)[:, :, None],
+        measurement_jacobian=lambda x, k: linear.C(k)[:, :, None],
+        process_covariance=lambda x, u, k, portion: linear.Q(k)[:, :, None],
+        measurement_covariance=lambda k: linear.R(k)[:, :, None],
+        initial_mean=initial_mean,
+        initial_covariance=initial_covariance,
+        linear=linear,
+        **parts,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def _product(matrix: Array, x: Array) -> Array:
+    """matrix (m, n) times x (n, .., S) as sums over the small index: bit-identical for any number of runs (no BLAS)."""
+    out = np.zeros((matrix.shape[0], *x.shape[1:]))
+    for i, row in enumerate(matrix):
+        for j in np.flatnonzero(row):
+            out[i] += row[j] * x[j]
+    return out

@@ -1,0 +1,50 @@
+"""Finding settings and scenario files: built-ins and plug-ins through the same entry points.
+
+A plug-in that does not import costs a warning with its reason, nothing else."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+from .setting import Setting
+
+
+def load_group(group: str) -> dict[str, Any]:
+    """All objects registered under an entry-point group, by name; those that fail to import are warned about."""
+    found: dict[str, Any] = {}
+    for point in entry_points(group=group):
+        try:
+            found[point.name] = point.load()
+        except Exception as error:
+            warnings.warn(f"plug-in {point.name} ({point.value}) is left out: {type(error).__name__}: {error}",
+                          stacklevel=2)
+    return found
+
+
+@cache
+def settings() -> dict[str, type[Setting[Any]]]:
+    """Plant kind -> setting class."""
+    return {setting.kind: setting for setting in load_group("railstate.scenarios").values()}
+
+
+@cache
+def scenario_files() -> dict[str, Path]:
+    """Built-in and plugged-in scenario name -> its TOML file. A file's stem is its scenario's name."""
+    files: dict[str, Path] = {}
+    for setting in settings().values():
+        folder = Path(str(sys.modules[setting.__module__].__file__)).parent
+        files.update({Path(file).stem: folder / file for file in setting.files})
+    return dict(sorted(files.items()))
+
+
+def setting_for(kind: str, where: str) -> type[Setting[Any]]:
+    """The setting class of a plant kind. Raises InputError naming the kinds there are."""
+    if kind not in settings():
+        raise InputError(f"{where}: plant.kind = \"{kind}\" is unknown; allowed: {', '.join(sorted(settings()))}")
+    return settings()[kind]

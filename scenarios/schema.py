@@ -1,0 +1,73 @@
+"""The scenario file's schema common to all settings; each setting refines `plant`, `disturbance`, `sensors`, `knowledge`.
+
+Unknown keys are refused everywhere, so that a typing error is an error."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+
+Probability = Annotated[float, Field(gt=0, le=1)]
+
+
+class Strict(BaseModel):
+    """Base of every table of a scenario file: no unknown keys, no changes after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
+
+
+class Empty(Strict):
+    """A table this setting has no keys for."""
+
+
+class Time(Strict):
+    """Sampling period in seconds and number of steps (for runs that end by themselves: the most there can be)."""
+
+    period: PositiveFloat
+    steps: PositiveInt
+
+
+class Score(Strict):
+    """What is scored: the estimate after the measurement of the same step, or the prediction before it.
+
+    skip: seconds left out at the start. divergence: largest admitted error per quantity (SI); a run that exceeds it is
+    `diverged`."""
+
+    at: Literal["update", "prediction"] = "update"
+    skip: Annotated[float, Field(ge=0)] = 0.0
+    divergence: dict[str, PositiveFloat] = {}
+
+
+class EstimatorEntry(Strict):
+    """One estimator of the scenario under its own label: which plug-in, its parameters, what it is told differently.
+
+    knowledge overrides the scenario's [knowledge] for this entry only. default = false: run only when asked for."""
+
+    plugin: str
+    parameters: dict[str, Any] = {}
+    knowledge: dict[str, Any] = {}
+    default: bool = True
+    note: str = ""
+
+
+class ScenarioConfig(Strict):
+    """A scenario resolved for one variant. Settings subclass it and give the tables their own types.
+
+    origin: where a number comes from, by its dotted key (`"plant.mass" = "paper, Table I"`); notes: what a reader of
+    the tables must know; fitted: parameters the source does not print that were chosen to hit its numbers."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
+    title: str
+    source: str = ""
+    notes: list[str] = []
+    origin: dict[str, str] = {}
+    fitted: list[str] = []
+    time: Time
+    plant: Strict
+    disturbance: Strict = Empty()
+    sensors: Strict = Empty()
+    channel: Strict = Empty()
+    knowledge: Strict = Empty()
+    score: Score = Score()
+    estimators: Annotated[dict[str, EstimatorEntry], Field(min_length=1)]

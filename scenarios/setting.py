@@ -1,0 +1,89 @@
+"""A setting: the code behind scenario files of one plant kind. It simulates the truth and fills the design model.
+
+Settings are plug-ins of the entry-point group `railstate.scenarios`; their scenario files lie beside their module."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .model import DesignModel
+from .randomness import Streams
+from .schema import ScenarioConfig
+from .world import World
+
+Array = NDArray[np.float64]
+ConfigT = TypeVar("ConfigT", bound=ScenarioConfig)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something whose error is scored: `components` are (index into the truth vector, weight) pairs.
+
+    Squared error of a step = sum over components of (weight x error)^2, averaged over the components when `mean`
+    (RMSE over several cars), summed otherwise (a weighted norm). Unit is SI; `shown` = (unit, factor) is how tables
+    print it."""
+
+    name: str
+    unit: str
+    components: tuple[tuple[int, float], ...]
+    mean: bool = True
+    shown: tuple[str, float] | None = None
+
+
+Outcome = tuple[str, str, str]
+"""(metric, quantity, unit) of a per-run number that a setting computes itself."""
+
+
+class Setting(ABC, Generic[ConfigT]):
+    """One plant kind, configured by one variant of a scenario file.
+
+    kind: the value of `plant.kind` that selects it. Config: its schema. files: its scenario files, beside its module.
+    lower_is_better: False for outcomes such as trains per hour, by metric name."""
+
+    kind: ClassVar[str]
+    Config: ClassVar[type[ScenarioConfig]]
+    files: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, config: ConfigT) -> None:
+        self.config = config
+
+    @property
+    def variant_hint(self) -> str:
+        """A few words on what is special (printed by `railstate list`); the title unless a setting says more."""
+        return self.config.title
+
+    @abstractmethod
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The scored quantities, in the order of the tables."""
+
+    @abstractmethod
+    def world(self, streams: Streams) -> World:
+        """Simulate (or prepare, closed loop) the truth of the runs of `streams`: streams "truth", "measurement",
+        "channel". Must not depend on the estimators nor on how runs are batched."""
+
+    @abstractmethod
+    def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        """What an estimator is told. `knowledge` overrides the scenario's [knowledge] for this estimator (already
+        validated by `resolve_knowledge`); initial_mean (nx, S) as the world hands it out."""
+
+    def resolve_knowledge(self, knowledge: Mapping[str, Any]) -> Any:
+        """The scenario's [knowledge] with an estimator's overrides, validated. Raises pydantic's ValidationError."""
+        base = self.config.knowledge
+        return type(base).model_validate({**base.model_dump(exclude_unset=True), **knowledge})
+
+    def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
+        """Numbers per run beyond errors (gap, lap, headway): {(metric, quantity, unit): (S,)}.
+
+        world: as it stands after the last step (closed loop: the estimator's own). metrics: {(metric, quantity): (S,)}
+        of the estimator, e.g. ("max", "position")."""
+        return {}
+
+    def batch_bytes(self) -> int:
+        """Bytes one run's trajectory takes in memory, from which the runner chooses its batch size."""
+        return self.config.time.steps * 8 * 40

@@ -1,0 +1,79 @@
+"""The truth as the runner sees it: a `World` that is stepped, open loop (a recorded `Trajectory`) or closed loop.
+
+One interface for both, so that the same runner and the same estimators serve either."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One prediction and one measurement inside a step.
+
+    portion: time since the previous event, in sampling periods; a number or one per run (S,). The number 0.0 means no
+    prediction at all. y (ny, S); received (ny, S): which elements arrived (elements that did not are never read)."""
+
+    portion: float | Array
+    y: Array
+    received: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What happens on the way to one scored instant.
+
+    u (nu, S): the input as the estimator is told it, over the interval that ends here. events: in time order, their
+    portions adding up to the step's length. truth (nt, S): the state, then the parameters to be estimated, at the
+    instant. active (S,): runs still under way (a train that has stopped is scored no further)."""
+
+    u: Array
+    events: tuple[Event, ...]
+    truth: Array
+    active: Mask
+
+
+class World(Protocol):
+    """A batch of runs being simulated. `step(k, mean)` is called for k = 0, 1, .., steps - 1, in order.
+
+    mean (nx, S) is the estimator's latest estimate (before this step); open-loop worlds ignore it."""
+
+    steps: int
+    initial_mean: Array
+    closed_loop: bool
+
+    def step(self, k: int, mean: Array) -> Step: ...
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """An open-loop world, simulated beforehand and shared by all estimators.
+
+    truth (K, nt, S); u (K, nu, S): input over the interval that ends at step k; y (K, ny, S); received (K, ny, S);
+    active (K, S); portions (K,): length of the interval that ends at step k in sampling periods (0.0: measure only).
+    initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form."""
+
+    truth: Array
+    u: Array
+    y: Array
+    received: Mask
+    active: Mask
+    portions: Array
+    initial_mean: Array
+    extra: dict[str, Array] = field(default_factory=dict)
+    closed_loop: bool = False
+
+    @property
+    def steps(self) -> int:
+        return self.truth.shape[0]
+
+    def step(self, k: int, mean: Array) -> Step:
+        event = Event(float(self.portions[k]), self.y[k], self.received[k])
+        return Step(self.u[k], (event,), self.truth[k], self.active[k])
