@@ -53,6 +53,8 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
         if not step.active.any():
             break
         last = len(step.events) - 1
+        if estimator.oracle:
+            estimator.reveal(step.truth)
         begun = perf_counter()
         for number, event in enumerate(step.events):
             if not (isinstance(event.portion, float) and event.portion == 0.0):

@@ -71,6 +71,7 @@ class Estimator(ABC):
     source: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ()
     claims: ClassVar[tuple[str, ...]] = ()
+    oracle: ClassVar[bool] = False
 
     status: NDArray[np.int8]
     reason: str = ""
@@ -103,6 +104,9 @@ class Estimator(ABC):
         self.model = model
         self.runs = runs
         self.status = np.zeros(runs, dtype=np.int8)
+
+    def reveal(self, truth: Array) -> None:
+        """Oracles only: the truth vector (nt, S) at the end of the step about to be predicted."""
 
     @abstractmethod
     def predict(self, u: Array, portion: Portion) -> None:
