@@ -31,6 +31,7 @@ class Driven:
     outcomes: dict[tuple[str, str, str], Array]
     seconds: float
     steps: int
+    world: World
 
 
 def drive(setting: Setting[Any], world: World, estimator: Estimator, model: DesignModel, random: RunRandom,
@@ -79,7 +80,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     scored = scorer.finish(estimator.status, estimator.reason)
     bad = scored.status != 0
     outcomes = {key: np.where(bad, np.nan, value) for key, value in setting.outcomes(world, scored.metrics).items()}
-    return Driven(scored, outcomes, seconds, driven)
+    return Driven(scored, outcomes, seconds, driven, world)
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],

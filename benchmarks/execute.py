@@ -1,0 +1,293 @@
+"""Executing a task in whatever process it lands in: simulate once, drive every estimator, turn all into tables.
+
+An estimator that raises costs only the runs that make it raise: the block is halved until they are found."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ..estimators.interface import Estimate, Status
+from ..estimators.registry import estimators, load_file
+from ..scenarios.errors import Infeasible
+from ..scenarios.randomness import Streams
+from ..scenarios.setting import Setting
+from ..scenarios.world import Step, World
+from .drive import Driven, drive, prepare
+from .plan import Task
+
+Columns = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Tables of a task: rows (one per estimator and run), curves (sums per step), kept trajectories (or None)."""
+
+    task: Task
+    rows: pa.Table
+    curves: pa.Table | None
+    kept: pa.Table | None
+    design: dict[str, dict[str, Any]]
+
+
+def execute(task: Task) -> Result:
+    """Run a task on one thread. Raises nothing for what an estimator does wrong: that becomes rows."""
+    from threadpoolctl import threadpool_limits
+
+    for path in task.plugins:
+        load_file(path)
+    with threadpool_limits(1), np.errstate(all="ignore"):
+        setting = task.cell.setting()
+        worlds = _Worlds(setting, task)
+        rows: list[pa.Table] = []
+        curves: list[pa.Table] = []
+        kept: list[pa.Table] = []
+        for label in task.labels:
+            block = _Block(setting, task, label, worlds)
+            block.run(tuple(range(len(task.runs))))
+            rows += block.rows
+            curves += block.curves
+            kept += block.kept
+        if task.keep and not worlds.closed_loop:
+            kept += worlds.extras()
+    return Result(task, _join(rows), _join(curves) if curves else None, _join(kept) if kept else None, {})
+
+
+def _join(tables: Sequence[pa.Table]) -> pa.Table:
+    return pa.concat_tables(tables, promote_options="default")
+
+
+class _Worlds:
+    """The truth of a task's runs: simulated once for all estimators when open loop, anew for each when closed."""
+
+    def __init__(self, setting: Setting[Any], task: Task) -> None:
+        self.setting, self.task = setting, task
+        self.shared = self._make(task.runs)
+        self.closed_loop = self.shared.closed_loop
+
+    def _make(self, runs: Sequence[int]) -> World:
+        cell = self.task.cell
+        return self.setting.world(Streams(self.task.seed, cell.scenario, cell.variant, runs))
+
+    def for_runs(self, runs: tuple[int, ...]) -> World:
+        if runs == self.task.runs and not self.closed_loop:
+            return self.shared
+        return self._make(runs)
+
+    def extras(self) -> list[pa.Table]:
+        """What the figures of an open-loop setting want of the truth, for the kept runs."""
+        out = []
+        extra: dict[str, np.ndarray] = getattr(self.shared, "extra", {})
+        for position, run in enumerate(self.task.runs):
+            if run < self.task.keep:
+                for name, values in extra.items():
+                    out.append(_trajectory(self.task, "", run, self.setting, np.arange(len(values)), name,
+                                           values[:, position].astype(float)))
+        return out
+
+
+class _Block:
+    """One estimator on a task's runs, halved where it raises."""
+
+    def __init__(self, setting: Setting[Any], task: Task, label: str, worlds: _Worlds) -> None:
+        self.setting, self.task, self.label, self.worlds = setting, task, label, worlds
+        self.rows: list[pa.Table] = []
+        self.curves: list[pa.Table] = []
+        self.kept: list[pa.Table] = []
+
+    def run(self, positions: tuple[int, ...]) -> None:
+        runs = tuple(self.task.runs[p] for p in positions)
+        watch = _Keeper(self.setting, self.task, self.label, runs)
+        try:
+            driven = self._drive(runs, watch)
+        except Infeasible as error:
+            self._failed(runs, Status.infeasible, str(error), "")
+        except Exception as error:
+            if len(runs) > 1:
+                half = len(runs) // 2
+                self.run(positions[:half])
+                self.run(positions[half:])
+            else:
+                text = "".join(traceback.format_exception_only(error)).strip()
+                self._failed(runs, Status.failed, text, traceback.format_exc())
+        else:
+            self.rows.append(self._table(runs, driven))
+            self.curves.append(_curves(self.task, self.label, self.setting, driven))
+            self.kept += watch.tables()
+            if self.worlds.closed_loop:
+                self.kept += watch.extras(driven.world)
+
+    def _drive(self, runs: tuple[int, ...], watch: _Keeper) -> Driven:
+        cell = self.task.cell
+        entry = cell.entries[self.label]
+        world = self.worlds.for_runs(runs)
+        estimator, model = prepare(self.setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+                                   world.initial_mean)
+        estimator.design(model)
+        random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
+        _warm_up(self.setting, self.task, self.label)
+        return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None)
+
+    def _columns(self, runs: tuple[int, ...]) -> Columns:
+        n = len(runs)
+        return {"scenario": [self.task.cell.scenario] * n, "variant": [self.task.cell.variant] * n,
+                "estimator": [self.label] * n, "run": pa.array(runs, pa.int32())}
+
+    def _failed(self, runs: tuple[int, ...], status: Status, reason: str, trace: str) -> None:
+        n = len(runs)
+        self.rows.append(pa.table({**self._columns(runs), "status": [status.name] * n, "reason": [reason] * n,
+                                   "exception": [trace] * n, "seconds": np.zeros(n)}))
+
+    def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
+        units = {item.name: item.unit for item in self.setting.quantities()}
+        scored = driven.scored
+        reason = [scored.reason if status else "" for status in scored.status]
+        columns = {**self._columns(runs), "status": [Status(s).name for s in scored.status], "reason": reason,
+                   "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
+                   "steps": pa.array([driven.steps] * len(runs), pa.int32())}
+        for (metric, quantity), values in scored.metrics.items():
+            unit = units.get(quantity, "1")
+            columns[f"{metric}:{quantity}:{f'{unit}^2' if metric == 'sum-squared' else unit}"] = values
+        for (metric, quantity, unit), values in driven.outcomes.items():
+            columns[f"{metric}:{quantity}:{unit}"] = np.asarray(values, dtype=float)
+        return pa.table(columns)
+
+
+def failed_rows(task: Task, status: Status, reason: str) -> Result:
+    """Rows for runs whose process died or hung."""
+    n = len(task.runs)
+    tables = [pa.table({"scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n,
+                        "estimator": [label] * n, "run": pa.array(task.runs, pa.int32()), "status": [status.name] * n,
+                        "reason": [reason] * n, "exception": [""] * n, "seconds": np.zeros(n)})
+              for label in task.labels]
+    return Result(task, _join(tables), None, None, {})
+
+
+_warm: set[tuple[str, str]] = set()
+
+
+def _warm_up(setting: Setting[Any], task: Task, label: str) -> None:
+    """Compile (or load) what this estimator needs on this plant before anything is timed: three steps of two runs."""
+    entry = task.cell.entries[label]
+    key = (setting.kind, repr((entry.plugin, entry.parameters, entry.knowledge)))
+    if key in _warm:
+        return
+    _warm.add(key)
+    streams = Streams(task.seed, task.cell.scenario, task.cell.variant, (0, 1))
+    world = _FirstSteps(setting.world(streams), 3)
+    estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+                               world.initial_mean)
+    estimator.design(model)
+    drive(setting, world, estimator, model, streams("estimator", label))
+
+
+class _FirstSteps:
+    """A world cut short."""
+
+    def __init__(self, world: World, steps: int) -> None:
+        self._world, self.steps = world, min(steps, world.steps)
+        self.initial_mean, self.closed_loop = world.initial_mean, world.closed_loop
+
+    def step(self, k: int, mean: Any) -> Step:
+        return self._world.step(k, mean)
+
+
+def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> pa.Table:
+    """Sums over the runs per step and quantity; NEES under the quantity name `nees`."""
+    curves = driven.scored.curves
+    steps = np.flatnonzero(curves["active"] > 0)
+    tables = []
+    for q, item in enumerate(setting.quantities()):
+        tables.append((item.name, curves["active"][steps], curves["squared"][steps, q], curves["fourth"][steps, q],
+                       curves["error"][steps, q]))
+    if curves["nees-count"].any():
+        zero = np.zeros(len(steps))
+        tables.append(("nees", curves["nees-count"][steps], curves["nees"][steps], zero, zero))
+    n = len(steps)
+    return _join([pa.table({
+        "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
+        "step": pa.array(steps, pa.int32()), "time": steps * setting.config.time.period, "quantity": [name] * n,
+        "active": active, "squared": squared, "fourth": fourth, "error": error,
+    }) for name, active, squared, fourth, error in tables])
+
+
+def _trajectory(task: Task, label: str, run: int, setting: Setting[Any], steps: np.ndarray, name: str,
+                truth: np.ndarray, estimate: np.ndarray | None = None, sd: np.ndarray | None = None) -> pa.Table:
+    n = len(steps)
+    nothing = np.full(n, np.nan)
+    return pa.table({
+        "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
+        "run": pa.array([run] * n, pa.int32()), "step": pa.array(steps, pa.int32()),
+        "time": steps * setting.config.time.period, "name": [name] * n, "truth": truth,
+        "estimate": nothing if estimate is None else estimate, "sd": nothing if sd is None else sd,
+    })
+
+
+class _Keeper:
+    """Watches a drive and keeps whole trajectories of the first runs: each component of the truth vector, its
+    estimate and claimed standard deviation, the trace of the covariance, and particle diversity."""
+
+    def __init__(self, setting: Setting[Any], task: Task, label: str, runs: tuple[int, ...]) -> None:
+        self.setting, self.task, self.label, self.runs = setting, task, label, runs
+        self.positions = [p for p, run in enumerate(runs) if run < task.keep]
+        self.wanted = bool(self.positions)
+        self.steps: list[int] = []
+        self.seen: list[dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]] = []
+
+    def __call__(self, k: int, estimate: Estimate, step: Step) -> None:
+        take = self.positions
+        mean = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
+        nan = np.full(len(take), np.nan)
+        row: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        for item in self.setting.quantities():
+            if len(item.components) == 1:
+                i, weight = item.components[0]
+                sd = nan
+                for matrix in (estimate.covariance, estimate.ellipsoid):
+                    if matrix is not None and i < matrix.shape[0]:
+                        variance = np.broadcast_to(matrix[i, i], mean.shape[1:])[take]
+                        sd = weight * np.sqrt(np.maximum(variance, 0))
+                        break
+                shown = np.where(step.active[take], weight * mean[i, take], np.nan)
+                row[item.name] = (weight * step.truth[i, take], shown, sd)
+            else:
+                error = sum((w * (mean[i, take] - step.truth[i, take])) ** 2 for i, w in item.components)
+                row[item.name] = (nan, np.sqrt(np.asarray(error) / (len(item.components) if item.mean else 1)), nan)
+        if estimate.covariance is not None:
+            trace = np.broadcast_to(np.trace(estimate.covariance), mean.shape[1:])[take]
+            row["trace-covariance"] = (nan, trace.copy(), nan)
+        if estimate.diversity is not None:
+            row["diversity"] = (nan, estimate.diversity[take].astype(float), nan)
+        self.steps.append(k)
+        self.seen.append(row)
+
+    def tables(self) -> list[pa.Table]:
+        if not self.seen:
+            return []
+        steps = np.array(self.steps)
+        names = dict.fromkeys(name for row in self.seen for name in row)
+        nan = np.full(len(self.positions), np.nan)
+        out = []
+        for name in names:
+            columns = [np.array(part) for part in zip(*(row.get(name, (nan,) * 3) for row in self.seen), strict=True)]
+            for n, position in enumerate(self.positions):
+                out.append(_trajectory(self.task, self.label, self.runs[position], self.setting, steps, name,
+                                       *(column[:, n] for column in columns)))
+        return out
+
+    def extras(self, world: World) -> list[pa.Table]:
+        """A closed-loop world's own figures data, which belong to this estimator."""
+        extra: dict[str, np.ndarray] = getattr(world, "extra", {})
+        return [_trajectory(self.task, self.label, self.runs[p], self.setting, np.arange(len(values)), name,
+                            np.asarray(values)[:, p].astype(float))
+                for p in self.positions for name, values in extra.items()]
+
+
+def one_run(task: Task, label: str, run: int) -> Task:
+    """The task that repeats a single row."""
+    return replace(task, labels=(label,), runs=(run,), keep=0)

@@ -1,0 +1,178 @@
+"""What a run consists of: cells (scenario variant with its estimators), and tasks (a cell and a block of runs).
+
+Everything here is plain data that pickles, so that a task can go to another process or another machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..estimators.registry import estimator_class, estimators, load_file, source_hash
+from ..scenarios.errors import InputError
+from ..scenarios.files import Scenario, describe, load
+from ..scenarios.registry import scenario_files, settings
+from ..scenarios.schema import EstimatorEntry
+from ..scenarios.setting import Setting
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One scenario variant (its resolved table) with the entries of the estimators to run, by label."""
+
+    scenario: str
+    variant: str
+    where: str
+    table: Mapping[str, Any] = field(repr=False)
+    entries: Mapping[str, EstimatorEntry]
+
+    @property
+    def key(self) -> str:
+        return f"{self.scenario}/{self.variant}"
+
+    def setting(self) -> Setting[Any]:
+        kind = settings()[self.table["plant"]["kind"]]
+        return kind(kind.Config.model_validate(dict(self.table)))
+
+
+@dataclass(frozen=True)
+class Task:
+    """A block of runs of one cell for some of its estimators. keep: trajectories of runs below this number are kept."""
+
+    cell: Cell
+    labels: tuple[str, ...]
+    runs: tuple[int, ...]
+    seed: int
+    keep: int = 0
+    plugins: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that decides the rows of a run."""
+
+    cells: tuple[Cell, ...]
+    runs: int
+    seed: int
+    keep: int = 0
+    plugins: tuple[str, ...] = ()
+
+    def configuration(self) -> dict[str, Any]:
+        """What must be the same for two runs to have the same rows (display names aside)."""
+        return {
+            "runs": self.runs,
+            "seed": self.seed,
+            "keep": self.keep,
+            "cells": {
+                cell.key: {
+                    "scenario": Scenario(cell.scenario, cell.where, {cell.variant: dict(cell.table)})
+                    .content_hash(cell.variant),
+                    "estimators": {
+                        label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
+                                "source": source_hash(estimators()[entry.plugin])}
+                        for label, entry in cell.entries.items()
+                    },
+                }
+                for cell in self.cells
+            },
+        }
+
+
+def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100, seed: int = 1, keep: int = 0,
+              overrides: Mapping[str, Any] | None = None, plugins: Sequence[str] = ()) -> Plan:
+    """A plan from the command line's words.
+
+    names: scenario names, NAME/VARIANT, or paths; none means every built-in scenario that needs no file of the user's.
+    only: estimator labels or plug-in names; none means each scenario's default ones. Raises InputError."""
+    for flag, value in (("--runs", runs), ("--seed", seed + 1), ("--keep", keep + 1)):
+        if value < 1:
+            raise InputError(f"{flag}: must be at least {1 if flag == '--runs' else 0}")
+    loose = [name for path in plugins for name in load_file(path)]
+    cells: list[Cell] = []
+    for name in names or _self_contained():
+        scenario, chosen = find(name, overrides)
+        for variant in chosen:
+            cell = _cell(scenario, variant, only, loose)
+            if cell and cell.key not in {other.key for other in cells}:
+                cells.append(cell)
+    if not cells:
+        known = sorted({label for name in names or _self_contained()
+                        for label in find(name, overrides)[0].variants[find(name, overrides)[1][0]]["estimators"]})
+        raise InputError(f"--estimators {','.join(only)}: none of these; allowed here: {', '.join(known)}, or the name "
+                         f"of an installed estimator: {', '.join(estimators())}")
+    return Plan(tuple(cells), runs, seed, keep, tuple(plugins))
+
+
+def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, tuple[str, ...]]:
+    """A scenario and the variants meant: NAME or a path (all variants), NAME/VARIANT or PATH.toml/VARIANT (one)."""
+    base, _, variant = name.rpartition("/")
+    if base and (base in scenario_files() or base.endswith(".toml")):
+        scenario = load(base, overrides)
+        scenario.setting(variant)
+        return scenario, (variant,)
+    scenario = load(name, overrides)
+    return scenario, tuple(scenario.variants)
+
+
+def _self_contained() -> list[str]:
+    return [name for name in scenario_files()
+            if not getattr(settings().get(str(_kind(name))), "needs_file", "")]
+
+
+def _kind(name: str) -> object:
+    scenario = load(name)
+    return scenario.variants[scenario.default]["plant"]["kind"]
+
+
+def _cell(scenario: Scenario, variant: str, only: Sequence[str], loose: Sequence[str]) -> Cell | None:
+    """The cell of one variant, its estimators checked. None if none of `only` applies to it."""
+    config = scenario.setting(variant).config
+    entries: dict[str, EstimatorEntry] = {}
+    if only:
+        for label in only:
+            if label in config.estimators:
+                entries[label] = config.estimators[label]
+            elif label in estimators():
+                entries[label] = EstimatorEntry(plugin=label)
+            else:
+                known = {**dict.fromkeys(config.estimators), **dict.fromkeys(estimators())}
+                if not any(label in other["estimators"] for other in scenario.variants.values()):
+                    raise InputError(f"--estimators {label}: no such estimator for {scenario.name}; allowed: "
+                                     f"{', '.join(known)}")
+    else:
+        entries = {label: entry for label, entry in config.estimators.items() if entry.default}
+    for name in loose:
+        entries.setdefault(name, EstimatorEntry(plugin=name))
+    for label, entry in entries.items():
+        cls = estimator_class(entry.plugin, f"{scenario.where}: estimators.{label}.plugin")
+        try:
+            cls.Parameters.model_validate(entry.parameters)
+        except ValidationError as error:
+            lines = describe(error, f"estimators.{label}.parameters")
+            allowed = ", ".join(cls.Parameters.model_fields) or "none"
+            raise InputError("\n".join(f"{scenario.where}: {line}; parameters of {entry.plugin}: {allowed}"
+                                       for line in lines)) from None
+    return Cell(scenario.name, variant, scenario.where, scenario.variants[variant], entries) if entries else None
+
+
+def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
+    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first."""
+    tasks: list[tuple[float, Task]] = []
+    for cell in plan.cells:
+        setting = cell.setting()
+        room = max(1, int(400e6 / max(setting.batch_bytes(), 1)))
+        share = plan.runs if len(plan.cells) >= 2 * jobs else -(-plan.runs // jobs)
+        size = batch or max(1, min(500, room, share))
+        missing: dict[tuple[str, ...], list[int]] = {}
+        for run in range(plan.runs):
+            labels = tuple(label for label in cell.entries if run not in done.get((cell.key, label), ()))
+            if labels:
+                missing.setdefault(labels, []).append(run)
+        for labels, runs in missing.items():
+            for first in range(0, len(runs), size):
+                block = tuple(runs[first:first + size])
+                weight = setting.batch_bytes() * len(block) * len(labels)
+                tasks.append((weight, Task(cell, labels, block, plan.seed, plan.keep, plan.plugins)))
+    return [task for _, task in sorted(tasks, key=lambda item: -item[0])]
