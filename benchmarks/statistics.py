@@ -151,8 +151,8 @@ def wilcoxon(differences: ArrayLike) -> float:
         return 1.0
     size = np.sort(np.abs(d))
     exact = d.size <= 50 and size[0] > 0 and bool((np.diff(size) > 0).all())
-    _, p = stats.wilcoxon(d, zero_method="pratt", method="exact" if exact else "asymptotic")
-    return float(p)
+    result = stats.wilcoxon(d, zero_method="pratt", method="exact" if exact else "asymptotic")
+    return float(result[1])  # pyright: ignore[reportArgumentType]
 
 
 def paired(a: ArrayLike, b: ArrayLike, level: float = 1 - ALPHA) -> Paired:

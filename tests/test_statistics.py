@@ -15,7 +15,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(8)
 
 
-def test_pooled_rmse_is_the_root_of_the_pooled_mean_square_with_the_spread_of_repetitions(rng: np.random.Generator) -> None:
+def test_pooled_rmse_is_the_root_of_the_pooled_mean_square(rng: np.random.Generator) -> None:
     sample = np.sqrt(rng.chisquare(40, (4000, 100)) / 40)
     pooled = np.array([st.pooled_rmse(row) for row in sample])
     assert pooled[0, 0] == pytest.approx(np.sqrt(np.mean(sample[0] ** 2)), rel=1e-14)
