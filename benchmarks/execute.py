@@ -149,7 +149,8 @@ class _Block:
         reason = [scored.reason if status else "" for status in scored.status]
         columns = {**self._columns(runs), "status": [Status(s).name for s in scored.status], "reason": reason,
                    "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
-                   "steps": pa.array([driven.steps] * len(runs), pa.int32())}
+                   "steps": pa.array([driven.steps] * len(runs), pa.int32()),
+                   "nees_states": pa.array([scored.nees_states] * len(runs), pa.int32())}
         for (metric, quantity), values in scored.metrics.items():
             unit = units.get(quantity, "1")
             columns[f"{metric}:{quantity}:{f'{unit}^2' if metric == 'sum-squared' else unit}"] = values

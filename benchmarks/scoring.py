@@ -102,12 +102,15 @@ def quadratic_forms(error, matrix, out, lost):
 
 @dataclass(frozen=True)
 class Scored:
-    """What one estimator did on a batch: metrics {(metric, quantity): (S,)}, NaN where the run's status is not ok."""
+    """What one estimator did on a batch: metrics {(metric, quantity): (S,)}, NaN where the run's status is not ok.
+
+    nees_states: degrees of freedom of the NEES (0: no covariance claimed)."""
 
     metrics: dict[tuple[str, str], Array]
     status: NDArray[np.int8]
     reason: str
     curves: dict[str, Array]
+    nees_states: int
 
 
 class Scorer:
@@ -133,6 +136,7 @@ class Scorer:
         self.curves = {"active": np.zeros(steps), "nees": np.zeros(steps), "nees-count": np.zeros(steps),
                        "squared": np.zeros((steps, n)), "fourth": np.zeros((steps, n)), "error": np.zeros((steps, n))}
         self.claimed: set[str] = set()
+        self.nees_states = 0
 
     def add(self, k: int, estimate: Estimate, step: Step) -> None:
         """Score the estimate of step k."""
@@ -156,6 +160,7 @@ class Scorer:
             curves["nees"][k] = form[use].sum()
             curves["nees-count"][k] = use.sum()
             self.claimed.add("nees")
+            self.nees_states = n
         if estimate.ellipsoid is not None:
             n = estimate.ellipsoid.shape[0]
             error = vector[:n] - step.truth[:n]
@@ -214,4 +219,4 @@ class Scorer:
         bad = status != Status.ok
         for values in metrics.values():
             values[bad] = np.nan
-        return Scored(metrics, status, reason, self.curves)
+        return Scored(metrics, status, reason, self.curves, self.nees_states)

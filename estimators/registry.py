@@ -1,6 +1,7 @@
 """Finding estimators: built-ins and plug-ins through the same entry points, and classes in loose files (`--plugin`).
 
-Names are the entry point's; a loose file's estimator is named after the file, or after its class if it holds several."""
+Names are the entry point's; a loose file's estimator is named after the file, or after its class where it holds
+several."""
 
 from __future__ import annotations
 

@@ -72,6 +72,10 @@ class Setting(ABC, Generic[ConfigT]):
         """What an estimator is told. `knowledge` overrides the scenario's [knowledge] for this estimator (already
         validated by `resolve_knowledge`); initial_mean (nx, S) as the world hands it out."""
 
+    def table(self) -> tuple[tuple[str, str], ...]:
+        """(metric, quantity) pairs that the printed tables show; `summary.csv` has all."""
+        return (*(("rmse", item.name) for item in self.quantities()), ("nees", "state"), ("coverage", "ellipsoid"))
+
     def resolve_knowledge(self, knowledge: Mapping[str, Any]) -> Any:
         """The scenario's [knowledge] with an estimator's overrides, validated. Raises pydantic's ValidationError."""
         base = self.config.knowledge

@@ -1,0 +1,112 @@
+"""From a plan to a finished results folder: rows, timing, summary and tables. The heart of `railstate run`."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from pathlib import Path
+
+import pandas as pd
+
+from ..scenarios.errors import InputError
+from .console import print_table, progress
+from .describe import description
+from .latency import timing_table
+from .plan import Plan, Task
+from .runner import Machinery, run
+from .store import Store
+from .summary import cell_tables, summarise, to_latex, to_markdown
+from .verdicts import headlines, short_verdicts
+
+
+class Interrupted(Exception):
+    """Ctrl-C during a run: what was finished is in the folder and the same command goes on."""
+
+
+def default_folder(plan: Plan) -> Path:
+    """results/run-HASH of the plan's configuration: the same command continues its own folder."""
+    text = json.dumps(plan.configuration(), sort_keys=True, default=str)
+    return Path("results") / f"run-{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+
+
+def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, timing: bool = True) -> Store:
+    """Compute what is missing in `folder` and write the files that are made from the rows. Raises InputError,
+    Interrupted."""
+    store = Store(folder)
+    store.open(plan.configuration(), description(plan), command)
+    done = store.done()
+    total = sum(len(cell.entries) for cell in plan.cells) * plan.runs - sum(len(runs) for runs in done.values())
+    with progress(total, "rows") as advance:
+        def report(task: Task) -> None:
+            advance(len(task.runs) * len(task.labels), task.cell.key)
+
+        try:
+            run(plan, store, machinery, report)
+        except KeyboardInterrupt:
+            have = sum(len(runs) for runs in store.done().values())
+            raise Interrupted(f"interrupted: {have} rows are in {folder}; the same command continues "
+                              f"(add --out {folder})") from None
+    rows = store.rows()
+    if timing and not (folder / "timing.csv").exists():
+        store.write_text("timing.csv", timing_table(plan, rows).to_csv(index=False))
+    write_tables(store)
+    store.finish(rows=len(rows), statuses=rows["status"].value_counts().to_dict())
+    return store
+
+
+def read_timing(store: Store) -> pd.DataFrame | None:
+    """timing.csv of a folder, or None. Raises InputError if it is damaged."""
+    path = store.folder / "timing.csv"
+    if not path.is_file():
+        return None
+    try:
+        return pd.read_csv(path)
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: damaged: {error}") from None
+
+
+def write_tables(store: Store) -> None:
+    """summary.csv, tables/*.md and tables/*.tex, from rows and timing alone."""
+    rows, manifest = store.rows(), store.manifest()
+    summary = summarise(rows)
+    store.write_text("summary.csv", summary.to_csv(index=False))
+    for key, frame in cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest)):
+        scenario, variant = key.split("/")
+        notes = notes_of(manifest, scenario, variant)
+        stem = f"tables/{scenario}~{variant}"
+        store.write_text(f"{stem}.md", to_markdown(key, frame, notes))
+        store.write_text(f"{stem}.tex", to_latex(key, frame, notes))
+
+
+def notes_of(manifest: dict, scenario: str, variant: str) -> list[str]:
+    """What a reader of a table must know: the scenario's notes, and which parameters were fitted."""
+    about = manifest["scenarios"][scenario]["variants"][variant]
+    fitted = [f"fitted, not printed by the source: {', '.join(about['fitted'])}"] if about["fitted"] else []
+    return [*about["notes"], *fitted]
+
+
+def print_results(store: Store) -> None:
+    """The tables on standard output, failures with their replay lines, and the closing count."""
+    rows, manifest = store.rows(), store.manifest()
+    summary = summarise(rows)
+    for key, frame in cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest)):
+        print_table(key, frame, notes_of(manifest, *key.split("/")))
+    for line in headlines(rows, manifest):
+        print(line)
+    bad = rows[rows["status"] != "ok"]
+    groups = bad.groupby(["scenario", "variant", "estimator", "status", "reason"], sort=False)
+    for (scenario, variant, estimator, status, reason), part in groups:
+        first = int(part["run"].iloc[0])
+        print(f"{status}: {scenario}/{variant}/{estimator}, {len(part)} of {manifest['configuration']['runs']} runs: "
+              f"{str(reason).splitlines()[0] if reason else 'no reason given'}\n"
+              f"  replay: railstate replay {scenario}/{variant}/{estimator}/{first} --out {store.folder}")
+    counts = rows["status"].value_counts()
+    print(f"{len(rows)} rows: " + ", ".join(f"{n} {status}" for status, n in counts.items()) + f"; in {store.folder}")
+
+
+def as_csv(frame: pd.DataFrame) -> str:
+    """CSV text."""
+    out = io.StringIO()
+    frame.to_csv(out, index=False)
+    return out.getvalue()

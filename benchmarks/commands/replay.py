@@ -1,0 +1,60 @@
+"""`railstate replay ROW`: run one row again, show its numbers, and its traceback if it failed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ...scenarios.errors import InputError
+from ...scenarios.schema import EstimatorEntry
+from ..execute import execute
+from ..plan import Cell, Plan, Task, make_plan
+from ..store import Store
+from ..summary import metric_columns
+
+
+def replay(
+    row: Annotated[str, typer.Argument(metavar="SCENARIO/VARIANT/ESTIMATOR/RUN")],
+    out: Annotated[str, typer.Option(help="The results folder the row stands in.")] = "",
+    seed: Annotated[int, typer.Option(help="Root seed, where no folder is given.")] = 1,
+) -> None:
+    """Run one row again; with --out compare it with the stored one."""
+    parts = row.rsplit("/", 3)
+    if len(parts) != 4 or not parts[3].isdecimal():
+        raise InputError(f"{row}: expected SCENARIO/VARIANT/ESTIMATOR/RUN, such as ningbo-metro/switching/ekf/17")
+    scenario, variant, label, number = parts
+    plan = stored_plan(out) if out else make_plan([f"{scenario}/{variant}"], only=[label], seed=seed)
+    cells = {cell.key: cell for cell in plan.cells}
+    cell = cells.get(f"{scenario}/{variant}")
+    if cell is None or label not in cell.entries:
+        known = ", ".join(f"{key}/{name}" for key, item in cells.items() for name in item.entries)
+        raise InputError(f"{row}: {out or 'the scenario'} holds no such estimator; it holds {known}")
+    again = execute(Task(cell, (label,), (int(number),), plan.seed, 0, plan.plugins)).rows.to_pandas()
+    found = again.iloc[0]
+    print(f"{row}: {found['status']}" + (f": {found['reason']}" if found["reason"] else ""))
+    for column, metric, quantity, unit in metric_columns(again):
+        print(f"  {metric:>12} {quantity:<16} {found[column]:.17g} {unit}")
+    if found["exception"]:
+        print(found["exception"])
+    if out:
+        rows = Store(out).rows()
+        stored = rows[(rows["scenario"] == scenario) & (rows["variant"] == variant) & (rows["estimator"] == label)
+                      & (rows["run"] == int(number))]
+        if stored.empty:
+            print(f"  {out} has no such row yet")
+        else:
+            same = all(stored[name].iloc[0] == found[name] or (found[name] != found[name])
+                       for name, *_ in metric_columns(again)) and stored["status"].iloc[0] == found["status"]
+            print(f"  {'bit-identical to' if same else 'DIFFERS from'} the row in {out}")
+
+
+def stored_plan(folder: str) -> Plan:
+    """The plan a results folder was made from. Raises InputError."""
+    manifest = Store(folder).manifest()
+    configuration, saved = manifest["configuration"], manifest["replay"]
+    cells = tuple(
+        Cell(*key.split("/"), item["where"], item["table"],
+             {label: EstimatorEntry.model_validate(entry) for label, entry in item["entries"].items()})
+        for key, item in saved["cells"].items())
+    return Plan(cells, configuration["runs"], configuration["seed"], configuration["keep"], tuple(saved["plugins"]))

@@ -1,0 +1,68 @@
+"""`railstate run`: scenarios x variants x estimators x runs, into a results folder and tables."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ...scenarios.errors import InputError
+from ..batch import complete, default_folder, print_results
+from ..plan import make_plan
+from ..runner import Machinery
+from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, overrides, words
+
+
+def run(
+    scenarios: Annotated[list[str] | None, typer.Argument(
+        metavar="[SCENARIO ...]", help="Built-in name, NAME/VARIANT, or a TOML file; none: every built-in one.")] = None,
+    estimators: Estimators = "",
+    runs: Runs = 100,
+    seed: Seed = 1,
+    jobs: Jobs = 0,
+    batch: Annotated[int, typer.Option(help="Runs computed together (0: chosen). Does not change a row.")] = 0,
+    out: Annotated[str, typer.Option(help="Results folder; an unfinished one is continued.")] = "",
+    set_: Sets = [],  # noqa: B006
+    plugin: Plugins = [],  # noqa: B006
+    keep: Annotated[int, typer.Option(help="Keep the trajectories of the first N runs for figures.")] = 1,
+    line: Annotated[str, typer.Option(help="Track file (TTOBench JSON) for the metro plant.")] = "",
+    train: Annotated[str, typer.Option(help="Train file (TTOBench JSON) for the metro plant.")] = "",
+    recording: Annotated[str, typer.Option(help="Recorded trip (CSV or Parquet) for the recorded setting.")] = "",
+    map_: Annotated[str, typer.Option("--map", metavar="ROLE=COLUMN,..",
+                                      help="Columns of the recording: time=t_s,position=s_m,..")] = "",
+    backend: Annotated[str, typer.Option(help="local, or a joblib cluster backend: dask, ray.")] = "local",
+    scheduler: Annotated[str, typer.Option(help="Address of the cluster's scheduler.")] = "",
+    timeout: Annotated[float, typer.Option(help="Seconds after which a task counts as hung.")] = 900.0,
+) -> None:
+    """Run estimators on scenarios and print the tables."""
+    changes = {**overrides(set_), **_files(line, train, recording, map_)}
+    if batch < 0 or jobs < 0:
+        raise InputError("--batch and --jobs: must be 0 (chosen) or more")
+    if timeout <= 0:
+        raise InputError("--timeout: must be more than 0 seconds")
+    plan = make_plan(scenarios or [], only=words(estimators), runs=runs, seed=seed, keep=keep, overrides=changes,
+                     plugins=plugin)
+    folder = Path(out) if out else default_folder(plan)
+    machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout)
+    command = shlex.join(["railstate", *sys.argv[1:]])
+    print_results(complete(plan, folder, machinery, command))
+
+
+def _files(line: str, train: str, recording: str, columns: str) -> dict[str, Any]:
+    """The flags for the user's own files as overrides of the scenario."""
+    changes: dict[str, Any] = {}
+    for key, value in (("plant.line", line), ("plant.train", train), ("plant.recording", recording)):
+        if value:
+            if not Path(value).is_file():
+                raise InputError(f"--{key.split('.')[1]} {value}: no such file")
+            changes[key] = str(Path(value).resolve())
+    if columns:
+        pairs = dict(pair.partition("=")[::2] for pair in words(columns))
+        if not all(pairs.values()):
+            raise InputError(f"--map {columns}: expected ROLE=COLUMN pairs, such as time=t_s,position=s_gnss_m")
+        changes["plant.map"] = pairs
+    return changes

@@ -1,0 +1,95 @@
+"""`railstate list`, `show` and `schema`: what there is to run and what each thing is made of."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import pandas as pd
+import typer
+
+from ...estimators.interface import Estimator
+from ...estimators.registry import estimators
+from ...scenarios.errors import InputError
+from ...scenarios.registry import scenario_files, settings
+from ..console import print_table
+from ..plan import find
+
+
+def list_() -> None:
+    """List scenarios with their variants, and estimators with what they need and claim."""
+    rows = []
+    for name in scenario_files():
+        scenario, variants = find(name)
+        config = scenario.setting(scenario.default).config
+        rows.append({"scenario": name, "about": config.title, "variants (first = default)": " ".join(variants),
+                     "estimators": " ".join(config.estimators)})
+    print_table("Scenarios", pd.DataFrame(rows))
+    print_table("Estimators", pd.DataFrame([
+        {"estimator": name, "about": cls.summary, "needs": " ".join(cls.needs) or "-",
+         "claims": " ".join(("mean", *cls.claims))} for name, cls in estimators().items()]))
+
+
+def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")]) -> None:
+    """Show a scenario resolved, or an estimator's parameters."""
+    if name in estimators():
+        _show_estimator(name, estimators()[name])
+        return
+    try:
+        scenario, variants = find(name)
+    except InputError as error:
+        raise InputError(f"{error}\nestimators: {', '.join(estimators())}") from None
+    variant = variants[0]
+    config = scenario.setting(variant).config
+    print(f"{scenario.name}/{variant}: {config.title}\nsource: {config.source}")
+    print(f"variants: {', '.join(scenario.variants)}")
+    for note in config.notes:
+        print(f"note: {note}")
+    for key in config.fitted:
+        print(f"fitted: {key}")
+    rows = [{"key": key, "value": json.dumps(value), "origin": config.origin.get(key, "")}
+            for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
+                                                               "estimators"}))]
+    print_table("", pd.DataFrame(rows))
+    print_table("", pd.DataFrame([
+        {"estimator": label, "plug-in": entry.plugin, "parameters": json.dumps(entry.parameters) if entry.parameters
+         else "", "told differently": json.dumps(entry.knowledge) if entry.knowledge else "",
+         "runs by default": "yes" if entry.default else "no"}
+        for label, entry in config.estimators.items()]))
+
+
+def schema() -> None:
+    """Print the JSON schema of scenario files, for editors."""
+    definitions: dict[str, Any] = {}
+    kinds = []
+    for kind, setting in settings().items():
+        made = setting.Config.model_json_schema(ref_template="#/$defs/" + kind + ".{model}")
+        definitions.update({f"{kind}.{key}": value for key, value in made.pop("$defs", {}).items()})
+        made["properties"]["variants"] = {"type": "object", "additionalProperties": {"type": "object"},
+                                          "description": "Named overrides of the tables; the first is the default."}
+        definitions[kind] = made
+        kinds.append({"$ref": f"#/$defs/{kind}"})
+    print(json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "railstate scenario",
+                      "anyOf": kinds, "$defs": definitions}, indent=1))
+
+
+def _show_estimator(name: str, cls: type[Estimator]) -> None:
+    print(f"{name}: {cls.summary}\nsource: {cls.source or '-'}\nneeds: {', '.join(cls.needs) or 'nothing beyond f and h'}"
+          f"\nclaims: {', '.join(('mean', *cls.claims))}")
+    if cls.__doc__:
+        print(f"\n{cls.__doc__.strip()}\n")
+    fields = [{"parameter": key, "default": "required" if field.is_required() else json.dumps(field.default),
+               "type": str(field.annotation).replace("typing.", "").removeprefix("<class '").removesuffix("'>"),
+               "about": field.description or ""} for key, field in cls.Parameters.model_fields.items()]
+    if fields:
+        print_table("Parameters", pd.DataFrame(fields))
+    else:
+        print("no parameters")
+
+
+def _flat(table: dict[str, Any], path: str = "") -> list[tuple[str, Any]]:
+    out: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        inner = f"{path}.{key}" if path else key
+        out += _flat(value, inner) if isinstance(value, dict) and value else [(inner, value)]
+    return out

@@ -1,0 +1,30 @@
+"""`railstate timing`: side by side speed of our estimators and named peers, in one run, on one thread."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import pandas as pd
+import typer
+
+from ...scenarios.errors import InputError
+from ..console import print_table
+from .options import words
+
+
+def timing(
+    only: Annotated[str, typer.Option(metavar="A,B", help="Comparisons to run; none: all.")] = "",
+    repeats: Annotated[int, typer.Option(help="Repetitions; the median is shown.")] = 5,
+) -> None:
+    """Measure whole filter steps as the runner drives them, against a peer doing the same work."""
+    from ..speed import COMPARISONS
+
+    chosen = words(only) or list(COMPARISONS)
+    unknown = [name for name in chosen if name not in COMPARISONS]
+    if unknown:
+        raise InputError(f"--only {','.join(unknown)}: no such comparison; allowed: {', '.join(COMPARISONS)}")
+    if repeats < 1:
+        raise InputError("--repeats: must be at least 1")
+    for name in chosen:
+        title, measure = COMPARISONS[name]
+        print_table(f"{name}: {title}", pd.DataFrame(measure(repeats)))

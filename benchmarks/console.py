@@ -1,0 +1,58 @@
+"""Printing: result tables, progress on a terminal, and nothing of it anywhere else."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import pandas as pd
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+WIDE = 220
+"""Columns assumed where the output is a file or a pipe, so that no table is cut."""
+
+
+def console() -> Console:
+    """Standard output: as wide as the terminal, or wide enough for any table."""
+    return Console(soft_wrap=False) if sys.stdout.isatty() else Console(width=WIDE, no_color=True, highlight=False)
+
+
+def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = (), to: Console | None = None) -> None:
+    """Print a table; text columns to the left, numbers to the right."""
+    out = to or console()
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in frame.columns:
+        values = [str(value) for value in frame[column]]
+        numeric = all(value[:1] in "0123456789-+." or not value for value in values)
+        table.add_column(str(column), justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
+    for row in frame.itertuples(index=False):
+        table.add_row(*("" if pd.isna(value) else str(value) for value in row))
+    out.print(table)
+    for note in notes:
+        out.print(f"  {note}", style="dim", highlight=False, markup=False)
+    if notes:
+        out.print()
+
+
+@contextmanager
+def progress(total: int, unit: str) -> Iterator[Callable[[int, str], None]]:
+    """Yield `advance(count, what)`. A bar with rate and time left on a terminal's standard error; else silent."""
+    if not sys.stderr.isatty() or total == 0:
+        yield lambda count, what: None
+        return
+    columns = (TextColumn("{task.description:32.32}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} "
+               + unit), TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"),
+               TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        job = bar.add_task("starting", total=total, rate="")
+
+        def advance(count: int, what: str) -> None:
+            elapsed = bar.tasks[0].elapsed or 0.0
+            done = bar.tasks[0].completed + count
+            bar.update(job, advance=count, description=what, rate=f"{done / elapsed:.0f}/s" if elapsed else "")
+
+        yield advance

@@ -1,0 +1,91 @@
+"""timing.csv: what a design, one step of one run, and a run-step of a batch cost.
+
+Latency is measured here, after the rows, in this process and on one thread; throughput comes from the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ..estimators.registry import estimators
+from ..scenarios.errors import Infeasible
+from ..scenarios.randomness import Streams
+from .drive import prepare
+from .plan import Cell, Plan
+
+COLUMNS = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "throughput_ns",
+           "sampling_period_s")
+WARM_UP, STEPS, SECONDS = 5, 400, 0.15
+
+
+def timing_table(plan: Plan, rows: pd.DataFrame) -> pd.DataFrame:
+    """One line per cell and estimator, columns `COLUMNS`; estimators that cannot be designed have NaN."""
+    return pd.DataFrame(list(_lines(plan, rows)), columns=list(COLUMNS))
+
+
+def _lines(plan: Plan, rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
+    from threadpoolctl import threadpool_limits
+
+    throughput = _throughput(rows)
+    with threadpool_limits(1), np.errstate(all="ignore"):
+        for cell in plan.cells:
+            for label in cell.entries:
+                design, latencies = measure(cell, label, plan.seed)
+                yield {"scenario": cell.scenario, "variant": cell.variant, "estimator": label, "design_s": design,
+                       "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
+                       "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
+                       "throughput_ns": throughput.get((cell.scenario, cell.variant, label), np.nan),
+                       "sampling_period_s": cell.setting().config.time.period}
+
+
+def _throughput(rows: pd.DataFrame) -> dict[Any, float]:
+    """Nanoseconds per run and step inside the estimator, at the batch size of the run."""
+    if "steps" not in rows:
+        return {}
+    timed = rows[rows["steps"].notna() & (rows["steps"] > 0)]
+    grouped = timed.groupby(["scenario", "variant", "estimator"], sort=False)
+    return {key: 1e9 * float(part["seconds"].sum() / part["steps"].sum()) for key, part in grouped}
+
+
+def measure(cell: Cell, label: str, seed: int) -> tuple[float, np.ndarray]:
+    """Design seconds and the seconds of each of up to `STEPS` steps of one run (prediction, update, estimate).
+
+    The first steps, in which code is compiled or loaded, are left out; slow estimators are cut off by time."""
+    setting, entry = cell.setting(), cell.entries[label]
+    streams = Streams(seed, cell.scenario, cell.variant, (0,))
+    world = setting.world(streams)
+    try:
+        estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+                                   world.initial_mean)
+        begun = perf_counter()
+        info = estimator.design(model)
+        design = float(info.get("design_s", perf_counter() - begun))
+        estimator.start(model, 1, streams("estimator", label))
+        mean = estimator.estimate().mean
+        seconds: list[float] = []
+        total = 0.0
+        for k in range(min(world.steps, STEPS + WARM_UP)):
+            step = world.step(k, mean)
+            if not step.active.any() or total > SECONDS:
+                break
+            if estimator.oracle:
+                estimator.reveal(step.truth)
+            begun = perf_counter()
+            for event in step.events:
+                if not (isinstance(event.portion, float) and event.portion == 0.0):
+                    estimator.predict(step.u, event.portion)
+                estimator.update(event.y, event.received)
+            mean = estimator.estimate().mean
+            taken = perf_counter() - begun
+            if k >= WARM_UP:
+                seconds.append(taken)
+                total += taken
+    except Infeasible:
+        return np.nan, np.array([])
+    except Exception:  # the rows already tell what it raised
+        return np.nan, np.array([])
+    return design, np.array(seconds)

@@ -1,0 +1,193 @@
+"""A results folder: parts written whole, the manifest, and readers that check what they read.
+
+Layout (public): {rows,curves,trajectories}/*.parquet, summary.csv, timing.csv, tables/, manifest.json.
+A part of `rows` is written last: curves and trajectories without their rows do not count."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..scenarios.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PACKAGES = ("numpy", "scipy", "numba", "filterpy", "cvxpy", "clarabel", "pandas", "pyarrow", "joblib", "pydantic")
+IDENTITY = ("scenario", "variant", "estimator", "run")
+
+
+class Store:
+    """A results folder being written or read."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+
+    # -- writing ---------------------------------------------------------------------------------------------------
+    def open(self, configuration: Mapping[str, Any], description: Mapping[str, Any], command: str) -> None:
+        """Create the folder, or continue one of the same configuration. Raises InputError naming what differs."""
+        manifest = self.folder / "manifest.json"
+        if manifest.exists():
+            differences = _differences(self.manifest()["configuration"], json.loads(json.dumps(configuration)))
+            if differences:
+                shown = "\n".join(f"  {line}" for line in differences[:8])
+                raise InputError(f"{self.folder}: holds results of another configuration; choose another --out or "
+                                 f"remove it. What differs (there -> now):\n{shown}")
+        elif self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+            raise InputError(f"{self.folder}: is not empty and not a results folder (no manifest.json); choose another "
+                             "--out")
+        for name in ("rows", "curves", "trajectories", "tables"):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        if not manifest.exists():
+            self.write_text("manifest.json", json.dumps({
+                "railstate": version("railstate"), "command": command, "configuration": configuration,
+                **description, "environment": environment(), "started": datetime.now(UTC).isoformat(timespec="seconds"),
+                "finished": None}, indent=1))
+
+    def finish(self, **facts: Any) -> None:
+        """Record the end of the run in the manifest."""
+        self.write_text("manifest.json", json.dumps({
+            **self.manifest(), "finished": datetime.now(UTC).isoformat(timespec="seconds"), **facts}, indent=1))
+
+    def write_part(self, stem: str, **tables: pa.Table | None) -> None:
+        """Write the tables of one task; `rows` last, each whole or not at all."""
+        for kind in ("curves", "trajectories", "rows"):
+            table = tables.get(kind)
+            if table is not None:
+                path = self.folder / kind / f"{stem}.parquet"
+                temporary = path.with_name(f".{path.name}.{os.getpid()}")
+                pq.write_table(table, temporary)
+                os.replace(temporary, path)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text file whole or not at all."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+
+    # -- reading ---------------------------------------------------------------------------------------------------
+    def manifest(self) -> dict[str, Any]:
+        """manifest.json. Raises InputError where there is none or it is damaged."""
+        path = self.folder / "manifest.json"
+        if not path.is_file():
+            raise InputError(f"{self.folder}: not a results folder (no manifest.json); `railstate run --out DIR` makes "
+                             "one")
+        try:
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+            manifest["configuration"]["cells"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path}: damaged: {error}") from None
+        return manifest
+
+    def done(self) -> dict[tuple[str, str], set[int]]:
+        """(scenario/variant, estimator) -> the runs that have rows."""
+        found: dict[tuple[str, str], set[int]] = {}
+        table = self._read("rows", list(IDENTITY))
+        if table is not None:
+            for scenario, variant, estimator, run in zip(*(table[name].to_pylist() for name in IDENTITY), strict=True):
+                found.setdefault((f"{scenario}/{variant}", estimator), set()).add(run)
+        return found
+
+    def rows(self) -> pd.DataFrame:
+        """All rows, sorted by scenario and variant (in the manifest's order), estimator, run. Raises InputError."""
+        import pandas as pd
+
+        manifest = self.manifest()
+        table = self._read("rows")
+        if table is None:
+            raise InputError(f"{self.folder}: holds no finished rows yet; continue it with: {manifest['command']}")
+        frame = table.to_pandas()
+        order = {key: n for n, key in enumerate(manifest["configuration"]["cells"])}
+        cell = (frame["scenario"] + "/" + frame["variant"]).map(order)
+        labels = {(key, label): n for key, value in manifest["configuration"]["cells"].items()
+                  for n, label in enumerate(value["estimators"])}
+        place = pd.Series([labels.get(item, 0) for item in
+                           zip(frame["scenario"] + "/" + frame["variant"], frame["estimator"], strict=True)])
+        frame = frame.assign(_cell=cell.to_numpy(), _place=place.to_numpy())
+        frame = frame.sort_values(["_cell", "_place", "run"], kind="stable").drop(columns=["_cell", "_place"])
+        return frame.reset_index(drop=True)
+
+    def curves(self) -> pd.DataFrame:
+        """Sums over all runs per scenario, variant, estimator, quantity and step (empty if there are none)."""
+        import pandas as pd
+
+        table = self._read("curves")
+        if table is None:
+            return pd.DataFrame(columns=["scenario", "variant", "estimator", "quantity", "step", "time", "active",
+                                         "squared", "fourth", "error"])
+        keys = ["scenario", "variant", "estimator", "quantity", "step", "time"]
+        return table.to_pandas().groupby(keys, sort=False, as_index=False)[
+            ["active", "squared", "fourth", "error"]].sum()
+
+    def trajectories(self) -> pd.DataFrame | None:
+        """The kept trajectories (`--keep N`), or None."""
+        table = self._read("trajectories")
+        return None if table is None else table.to_pandas()
+
+    def _read(self, kind: str, columns: list[str] | None = None) -> pa.Table | None:
+        rows = {path.name for path in (self.folder / "rows").glob("*.parquet")}
+        tables = []
+        for path in sorted((self.folder / kind).glob("*.parquet")):
+            if path.name not in rows:
+                continue
+            try:
+                tables.append(pq.read_table(path, columns=columns, partitioning=None))
+            except (pa.ArrowInvalid, pa.ArrowKeyError, OSError) as error:
+                raise InputError(f"{path}: damaged ({str(error).splitlines()[0]}); remove it and run again: only its "
+                                 "rows are computed anew") from None
+        return pa.concat_tables(tables, promote_options="default") if tables else None
+
+
+def environment() -> dict[str, Any]:
+    """Versions, processor and git state of this installation."""
+    here = Path(__file__).resolve().parent
+
+    def git(*words: str) -> str | None:
+        try:
+            return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True,
+                                  timeout=10).stdout.strip()
+        except (OSError, subprocess.SubprocessError):
+            return None
+
+    status = git("status", "--porcelain", "--untracked-files=no")
+    return {"python": sys.version.split()[0], "platform": platform.platform(terse=True), "processor": _processor(),
+            "cores": os.cpu_count(), "packages": {name: version(name) for name in PACKAGES},
+            "git_commit": git("rev-parse", "HEAD"), "git_dirty": None if status is None else bool(status)}
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _differences(there: Any, now: Any, path: str = "") -> list[str]:
+    if isinstance(there, dict) and isinstance(now, dict):
+        lines: list[str] = []
+        for key in {**there, **now}:
+            inner = f"{path}.{key}" if path else key
+            if key not in there:
+                lines.append(f"{inner}: absent -> given")
+            elif key not in now:
+                lines.append(f"{inner}: given -> absent")
+            else:
+                lines += _differences(there[key], now[key], inner)
+        return lines
+    return [] if there == now else [f"{path}: {there!r} -> {now!r}"]

@@ -1,0 +1,113 @@
+"""summary.csv and tables/ from the rows alone: means with standard errors per scenario, variant, estimator, metric.
+
+RMSE is pooled (root of the mean over runs of each run's mean square) with its error by the delta method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from .statistics import mean_se, pooled_rmse
+
+COLUMNS = ("scenario", "variant", "estimator", "metric", "quantity", "unit", "mean", "standard_error", "runs")
+
+
+def metric_columns(rows: pd.DataFrame) -> list[tuple[str, str, str, str]]:
+    """(column, metric, quantity, unit) of the metric columns `metric:quantity:unit`."""
+    return [(name, *parts) for name in rows.columns if len(parts := name.split(":")) == 3]  # pyright: ignore
+
+
+def summarise(rows: pd.DataFrame) -> pd.DataFrame:
+    """summary.csv: only runs whose status is ok count, `runs` says how many; shares of other statuses have rows too."""
+    lines: list[tuple[Any, ...]] = []
+    for (scenario, variant, estimator), part in rows.groupby(["scenario", "variant", "estimator"], sort=False):
+        key = (scenario, variant, estimator)
+        for column, metric, quantity, unit in metric_columns(rows):
+            values = part[column].to_numpy(dtype=float)
+            values = values[~np.isnan(values)]
+            if len(values):
+                mean, error = pooled_rmse(values) if metric == "rmse" else mean_se(values)
+                lines.append((*key, metric, quantity, unit, mean, error, len(values)))
+        for status in ("diverged", "failed", "crashed", "timeout", "infeasible"):
+            share = (part["status"] == status).to_numpy(dtype=float)
+            if share.any():
+                lines.append((*key, status, "runs", "1", *mean_se(share), len(share)))
+    return pd.DataFrame(lines, columns=list(COLUMNS))
+
+
+def cell_tables(summary: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.DataFrame | None,
+                notes: Mapping[tuple[str, str, str], str]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """For each scenario/variant its printed table: a line per estimator, values with their standard errors in the
+    scenario's shown units, the short verdict from `notes`, latency and throughput."""
+    for (scenario, variant), part in summary.groupby(["scenario", "variant"], sort=False):
+        described = manifest["scenarios"][scenario]
+        shown = {name: tuple(value) for name, value in described["shown"].items()}
+        lines: list[dict[str, str]] = []
+        for estimator, mine in part.groupby("estimator", sort=False):
+            line: dict[str, str] = {"estimator": str(estimator)}
+            for metric, quantity, unit, mean, error in zip(
+                    *(mine[name] for name in ("metric", "quantity", "unit", "mean", "standard_error")), strict=True):
+                if (metric, quantity) in _columns(described) or metric in _STATUS:
+                    name, factor = shown.get(quantity, (unit, 1.0)) if metric not in ("nees",) else (unit, 1.0)
+                    head = f"{metric} {quantity}" + ("" if name == "1" else f" [{name}]")
+                    line[head] = _pair(mean * factor, error * factor)
+            line["verdict"] = notes.get((str(scenario), str(variant), str(estimator)), "")
+            if timing is not None:
+                here = timing[(timing["scenario"] == scenario) & (timing["variant"] == variant)
+                              & (timing["estimator"] == estimator)]
+                if len(here):
+                    line["latency [us]"] = _number(float(here["latency_us_median"].iloc[0]))
+                    line["ns/run-step"] = _number(float(here["throughput_ns"].iloc[0]))
+            lines.append(line)
+        frame = pd.DataFrame(lines).fillna("")
+        order = ["estimator", *(c for c in frame.columns if c not in ("estimator", *_LAST)),
+                 *(c for c in _LAST if c in frame.columns and frame[c].astype(bool).any())]
+        yield f"{scenario}/{variant}", frame[order]
+
+
+_STATUS = ("diverged", "failed", "crashed", "timeout", "infeasible")
+_LAST = ("latency [us]", "ns/run-step", "verdict")
+
+
+def _columns(described: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [(metric, quantity) for metric, quantity in described["table"]]
+
+
+def _number(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _pair(mean: float, error: float) -> str:
+    """`0.1234 +-0.0012`: the error with two digits, the mean to the same place."""
+    if not np.isfinite(error) or error <= 0:
+        return _number(mean)
+    places = int(np.clip(1 - np.floor(np.log10(error)), 0, 8))
+    return f"{mean:.{places}f} ±{error:.{places}f}"
+
+
+def to_markdown(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:
+    """A Markdown table with a heading and its notes."""
+    head = "| " + " | ".join(frame.columns) + " |"
+    rule = "|" + "|".join(" --- " if c in ("estimator", "verdict") else " ---: " for c in frame.columns) + "|"
+    body = ["| " + " | ".join(str(value) for value in row) + " |" for row in frame.to_numpy()]
+    return "\n".join([f"## {title}", "", head, rule, *body, "", *(f"- {note}" for note in notes)]) + "\n"
+
+
+def to_latex(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:
+    """A LaTeX table with booktabs rules."""
+    def clean(text: object) -> str:
+        out = str(text)
+        for old, new in (("\\", r"\textbackslash{}"), ("&", r"\&"), ("%", r"\%"), ("_", r"\_"), ("#", r"\#"),
+                         ("^", r"\^{}"), ("±", r"$\pm$")):
+            out = out.replace(old, new)
+        return out
+
+    spec = "".join("l" if c in ("estimator", "verdict") else "r" for c in frame.columns)
+    lines = [r"\begin{table}", r"\centering", rf"\caption{{{clean(title)}}}", rf"\begin{{tabular}}{{{spec}}}",
+             r"\toprule", " & ".join(clean(c) for c in frame.columns) + r" \\", r"\midrule"]
+    lines += [" & ".join(clean(value) for value in row) + r" \\" for row in frame.to_numpy()]
+    lines += [r"\bottomrule", r"\end{tabular}", *(rf"\par\footnotesize {clean(note)}" for note in notes), r"\end{table}"]
+    return "\n".join(lines) + "\n"
