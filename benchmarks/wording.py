@@ -1,0 +1,96 @@
+"""Numbers and short phrases for tables, verdicts and the report: few digits, shown units, no false precision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .statistics import Interval, Paired
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with `digits` significant digits; powers of ten outside 0.001 .. 99999."""
+    if not np.isfinite(value):
+        return "–" if np.isnan(value) else "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
+        return f"{value:.{places}f}".replace("-", "−")
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{mantissa}·10{power}".replace("-", "−")
+
+
+def plus_minus(found: Interval, factor: float = 1.0) -> str:
+    """`0.1234 ± 0.0021`: half the interval's width with two digits, the value to the same place."""
+    value, half = found.value * factor, (found.high - found.low) / 2 * factor
+    if not np.isfinite(half) or half <= 0 or not 1e-3 <= abs(value) < 1e5:
+        return number(value)
+    places = int(np.clip(1 - np.floor(np.log10(half)), 0, 6))
+    return f"{value:.{places}f} ± {half:.{places}f}".replace("-", "−")
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """A share in per cent: never 100 % or 0 % unless it is exactly that."""
+    if not np.isfinite(share):
+        return "–"
+    value = 100 * share
+    if value in (0.0, 100.0):
+        return f"{value:.0f} %"
+    places = 0 if 10 <= value < 90 else 1
+    text = f"{value:.{places}f}"
+    while 0 < value < 100 and text.rstrip("0").rstrip(".") in ("100", "0") and places < 4:
+        places += 1
+        text = f"{value:.{places}f}"
+    return f"{text} %"
+
+
+def change(found: Paired) -> str:
+    """A paired mean difference relative to the other's mean: `+12 %`, or as a factor where it is large."""
+    return _change(found.relative)
+
+
+def change_interval(found: Paired) -> str:
+    """`+12 % [10, 14]`, the interval of `paired` relative to the other's mean."""
+    if not found.difference or not np.isfinite(found.relative):
+        return change(found)
+    scale = found.relative / found.difference
+    low, high = found.low * scale, found.high * scale
+    if found.relative >= 2:
+        return f"{change(found)} [{number(low + 1, 2)}, {number(high + 1, 2)}]"
+    return f"{change(found)} [{_bare(low)}, {_bare(high)}]"
+
+
+def _change(relative: float) -> str:
+    if not np.isfinite(relative):
+        return "–"
+    if relative >= 2:
+        return f"{number(relative + 1, 2)} times"
+    sign = "+" if relative > 0 else "−" if relative < 0 else "±"
+    return f"{sign}{_bare(abs(relative))} %"
+
+
+def _bare(relative: float) -> str:
+    value = 100 * relative
+    return f"{value:.{0 if abs(value) >= 9.95 else 1}f}".replace("-", "−")
+
+
+def listing(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
+
+
+def counted(number_of: int, noun: str) -> str:
+    """`1 run`, `2 runs`."""
+    return f"{number_of} {noun}" + ("" if number_of == 1 else "s")
+
+
+def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) -> tuple[str, float]:
+    """(unit, factor) a value is shown in: the scenario's choice for plain errors of the quantity, else as it is."""
+    chosen = about.get("shown", {}).get(quantity)
+    if chosen and metric in ("rmse", "mae", "max", "final", "mean", "half-width"):
+        return str(chosen[0]), float(chosen[1])
+    return ("" if unit == "1" else unit), 1.0
