@@ -130,9 +130,9 @@ def linear_model(
     """A design model from its matrices: the callables of `DesignModel` filled in (whole steps only)."""
 
     def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        moved = _product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
+        moved = product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
         if u.shape[0]:
-            drive = _product(linear.B(k), u)
+            drive = product(linear.B(k), u)
             moved = moved + drive.reshape(drive.shape[:1] + (1,) * (x.ndim - 2) + drive.shape[1:])
         return moved
 
@@ -141,7 +141,7 @@ def linear_model(
         measurements=measurements,
         period=period,
         transition=transition,
-        measurement=lambda x, k: _product(linear.C(k), x),
+        measurement=lambda x, k: product(linear.C(k), x),
         transition_jacobian=lambda x, u, k, portion: linear.A(k)[:, :, None],
         measurement_jacobian=lambda x, k: linear.C(k)[:, :, None],
         process_covariance=lambda x, u, k, portion: linear.Q(k)[:, :, None],
@@ -153,7 +153,7 @@ def linear_model(
     )
 
 
-def _product(matrix: Array, x: Array) -> Array:
+def product(matrix: Array, x: Array) -> Array:
     """matrix (m, n) times x (n, .., S) as sums over the small index: bit-identical for any number of runs (no BLAS)."""
     out = np.zeros((matrix.shape[0], *x.shape[1:]))
     for i, row in enumerate(matrix):
