@@ -1,0 +1,263 @@
+"""Compiled small-matrix algebra over arrays whose last axis is the runs: the handful of functions the filters share.
+
+Plain loops over the small indices, the innermost over runs: fast, and bit-identical for any number of runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# No fastmath and no BLAS: both would make a run's bits depend on its neighbours. error_model: division by zero gives
+# inf, as in NumPy, which keeps branches out of the inner loops.
+kernel = njit(cache=True, error_model="numpy")
+
+SINGULAR = 1e-14
+"""A pivot under this share of its diagonal entry counts as zero (a direction without uncertainty)."""
+INDEFINITE = 1e-9
+"""A pivot under minus this share of its diagonal entry is an indefinite matrix, no rounding error."""
+
+
+@kernel
+def tile_width(n, runs):
+    """How many runs to take at a time so that a few (n, n, width) arrays stay in the cache."""
+    return min(runs, max(16, 768 // max(n, 1)))
+
+
+@kernel
+def gather3(source, index, width, tile):
+    """tile (n, m, >= width) := the runs index[:width] of source (n, m, S), or its one shared slice (n, m, 1)."""
+    shared = source.shape[2] == 1
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            if shared:
+                tile[i, j, 0] = source[i, j, 0]
+            else:
+                for s in range(width):
+                    tile[i, j, s] = source[i, j, index[s]]
+
+
+@kernel
+def scatter3(tile, index, width, target):
+    """Write tile (n, m, >= width) back to the runs index[:width] of target (n, m, S)."""
+    for i in range(target.shape[0]):
+        for j in range(target.shape[1]):
+            for s in range(width):
+                target[i, j, index[s]] = tile[i, j, s]
+
+
+@kernel
+def multiply(a, b, out):
+    """out (n, p, S) := a (n, m, S or 1) times b (m, p, S or 1)."""
+    runs = out.shape[2]
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            for s in range(runs):
+                out[i, j, s] = 0.0
+            for k in range(a.shape[1]):
+                if a.shape[2] == 1 and b.shape[2] == 1:
+                    for s in range(runs):
+                        out[i, j, s] += a[i, k, 0] * b[k, j, 0]
+                elif a.shape[2] == 1:
+                    factor = a[i, k, 0]
+                    for s in range(runs):
+                        out[i, j, s] += factor * b[k, j, s]
+                elif b.shape[2] == 1:
+                    factor = b[k, j, 0]
+                    for s in range(runs):
+                        out[i, j, s] += a[i, k, s] * factor
+                else:
+                    for s in range(runs):
+                        out[i, j, s] += a[i, k, s] * b[k, j, s]
+
+
+@kernel
+def apply(matrix, x, out):
+    """out (n, S) := matrix (n, m, S or 1) times x (m, S)."""
+    for i in range(matrix.shape[0]):
+        for s in range(x.shape[1]):
+            out[i, s] = 0.0
+        for k in range(matrix.shape[1]):
+            if matrix.shape[2] == 1:
+                factor = matrix[i, k, 0]
+                for s in range(x.shape[1]):
+                    out[i, s] += factor * x[k, s]
+            else:
+                for s in range(x.shape[1]):
+                    out[i, s] += matrix[i, k, s] * x[k, s]
+
+
+@kernel
+def symmetrise(matrix):
+    """matrix (n, n, S) := (matrix + its transpose) / 2, in place."""
+    for i in range(matrix.shape[0]):
+        for j in range(i):
+            for s in range(matrix.shape[2]):
+                value = 0.5 * (matrix[i, j, s] + matrix[j, i, s])
+                matrix[i, j, s] = value
+                matrix[j, i, s] = value
+
+
+@kernel
+def _half(f, p, t, width):
+    """t (m, n, width) := f (m, n, width or 1) times p (n, n, width)."""
+    n = p.shape[0]
+    for i in range(f.shape[0]):
+        for j in range(n):
+            for s in range(width):
+                t[i, j, s] = 0.0
+        k = 0
+        if f.shape[2] == 1:
+            while k + 4 <= n:  # four terms at a time: fewer loads and stores of t, the same order of additions
+                f0, f1, f2, f3 = f[i, k, 0], f[i, k + 1, 0], f[i, k + 2, 0], f[i, k + 3, 0]
+                for j in range(n):
+                    for s in range(width):
+                        t[i, j, s] = (((t[i, j, s] + f0 * p[k, j, s]) + f1 * p[k + 1, j, s])
+                                      + f2 * p[k + 2, j, s]) + f3 * p[k + 3, j, s]
+                k += 4
+        while k < n:
+            for j in range(n):
+                if f.shape[2] == 1:
+                    f0 = f[i, k, 0]
+                    for s in range(width):
+                        t[i, j, s] += f0 * p[k, j, s]
+                else:
+                    for s in range(width):
+                        t[i, j, s] += f[i, k, s] * p[k, j, s]
+            k += 1
+
+
+@kernel
+def _symmetric_half(t, f, q, out, width):
+    """out (m, m, width) := t f' + q, of which the lower triangle is computed and mirrored; q (m, m, width or 1)."""
+    n = t.shape[1]
+    for i in range(f.shape[0]):
+        for j in range(i + 1):
+            for s in range(width):
+                out[i, j, s] = q[i, j, 0] if q.shape[2] == 1 else q[i, j, s]
+            k = 0
+            if f.shape[2] == 1:
+                while k + 4 <= n:
+                    f0, f1, f2, f3 = f[j, k, 0], f[j, k + 1, 0], f[j, k + 2, 0], f[j, k + 3, 0]
+                    for s in range(width):
+                        out[i, j, s] = (((out[i, j, s] + f0 * t[i, k, s]) + f1 * t[i, k + 1, s])
+                                        + f2 * t[i, k + 2, s]) + f3 * t[i, k + 3, s]
+                    k += 4
+            while k < n:
+                if f.shape[2] == 1:
+                    f0 = f[j, k, 0]
+                    for s in range(width):
+                        out[i, j, s] += f0 * t[i, k, s]
+                else:
+                    for s in range(width):
+                        out[i, j, s] += f[j, k, s] * t[i, k, s]
+                k += 1
+            for s in range(width):
+                out[j, i, s] = out[i, j, s]
+
+
+@kernel
+def congruence(f, p, q, out):
+    """out (m, m, S) := f p f' + q, exactly symmetric. f (m, n, S or 1), p (n, n, S), q (m, m, S or 1); out may be p."""
+    m, n, runs = f.shape[0], f.shape[1], p.shape[2]
+    wide = tile_width(n, runs)
+    index = np.empty(wide, np.int64)
+    tile_f = np.empty((m, n, 1 if f.shape[2] == 1 else wide))
+    tile_q = np.empty((m, m, 1 if q.shape[2] == 1 else wide))
+    tile_p, tile_t, tile_out = np.empty((n, n, wide)), np.empty((m, n, wide)), np.empty((m, m, wide))
+    for first in range(0, runs, wide):
+        width = min(wide, runs - first)
+        for s in range(width):
+            index[s] = first + s
+        gather3(f, index, width, tile_f)
+        gather3(q, index, width, tile_q)
+        gather3(p, index, width, tile_p)
+        _half(tile_f, tile_p, tile_t, width)
+        _symmetric_half(tile_t, tile_f, tile_q, tile_out, width)
+        scatter3(tile_out, index, width, out)
+
+
+@kernel
+def factorise(matrix, factor, inverse, failed, definite, width):
+    """Lower Cholesky factor (n, n, >= width) of matrix, inverse (n, >= width) of its diagonal; failed (>= width,) is
+    set where it has none.
+
+    Only the lower triangle of the matrix is read. definite: a pivot must be positive. Otherwise a pivot of zero (to
+    rounding: SINGULAR, INDEFINITE) is a direction without uncertainty and gets a column of zeros. Failed runs get
+    NaN, so that nothing computed from them can pass for a number."""
+    n = matrix.shape[0]
+    floor = 0.0 if definite else SINGULAR
+    slack = 0.0 if definite else INDEFINITE
+    for j in range(n):
+        for s in range(width):
+            factor[j, j, s] = matrix[j, j, s]
+        for k in range(j):
+            for s in range(width):
+                factor[j, j, s] -= factor[j, k, s] * factor[j, k, s]
+        for s in range(width):
+            pivot, scale = factor[j, j, s], matrix[j, j, s]
+            good = pivot > 0.0 if definite else pivot >= -slack * abs(scale)
+            positive = pivot > floor * scale
+            root = np.sqrt(pivot) if positive else 0.0
+            factor[j, j, s] = root if good else np.nan
+            inverse[j, s] = 1.0 / root if positive else 0.0
+            failed[s] |= not good
+        for i in range(j + 1, n):
+            for s in range(width):
+                factor[i, j, s] = matrix[i, j, s]
+                factor[j, i, s] = 0.0
+            for k in range(j):
+                for s in range(width):
+                    factor[i, j, s] -= factor[i, k, s] * factor[j, k, s]
+            for s in range(width):
+                factor[i, j, s] *= inverse[j, s]
+
+
+@kernel
+def forward(factor, inverse, rhs, width):
+    """rhs (n, m, >= width) := factor^-1 rhs, in place."""
+    for i in range(rhs.shape[0]):
+        for j in range(rhs.shape[1]):
+            for k in range(i):
+                for s in range(width):
+                    rhs[i, j, s] -= factor[i, k, s] * rhs[k, j, s]
+            for s in range(width):
+                rhs[i, j, s] *= inverse[i, s]
+
+
+@kernel
+def backward(factor, inverse, rhs, width):
+    """rhs (n, m, >= width) := factor^-T rhs, in place."""
+    n = rhs.shape[0]
+    for i in range(n - 1, -1, -1):
+        for j in range(rhs.shape[1]):
+            for k in range(i + 1, n):
+                for s in range(width):
+                    rhs[i, j, s] -= factor[k, i, s] * rhs[k, j, s]
+            for s in range(width):
+                rhs[i, j, s] *= inverse[i, s]
+
+
+@kernel
+def cholesky(matrix, factor, failed):
+    """factor (n, n, S) := lower Cholesky factor of matrix (n, n, S), positive semidefinite to rounding; failed (S,) is
+    set, and the factor NaN, where it is indefinite or not finite. Returns how many runs have failed."""
+    inverse = np.empty((matrix.shape[0], matrix.shape[2]))
+    factorise(matrix, factor, inverse, failed, False, matrix.shape[2])
+    return failed.sum()
+
+
+@kernel
+def solve_spd(matrix, rhs, failed):
+    """rhs (n, m, S) := matrix^-1 rhs in place, matrix (n, n, S) symmetric positive definite; failed (S,) is set, and
+    the result NaN, where it is not. Returns how many runs have failed."""
+    n, runs = matrix.shape[0], matrix.shape[2]
+    factor, inverse = np.empty((n, n, runs)), np.empty((n, runs))
+    factorise(matrix, factor, inverse, failed, True, runs)
+    forward(factor, inverse, rhs, runs)
+    backward(factor, inverse, rhs, runs)
+    for i in range(n):
+        for j in range(rhs.shape[1]):
+            for s in range(runs):
+                if failed[s]:
+                    rhs[i, j, s] = np.nan
+    return failed.sum()
