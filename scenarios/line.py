@@ -1,0 +1,218 @@
+"""Lines and trains as tables: stops, speed limits and gradients; mass, forces, resistance. From scenario or TTOBench JSON.
+
+What a wrong file gets is one message that names the file, the entry and what is allowed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, PositiveFloat, field_validator, model_validator
+
+from .metro_plant import GRAVITY, KMH, Forces, Slope, slope_grid
+from .schema import Strict
+
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Powers = Annotated[list[float], Field(min_length=5, max_length=5)]
+SPEEDS = {"km/h": 1 / KMH, "m/s": 1.0}
+LENGTHS = {"m": 1.0, "km": 1000.0}
+FORCES = {"kN": 1e3, "N": 1.0}
+POWERS = {"kW": 1e3, "W": 1.0, "MW": 1e6}
+MASSES = {"kg": 1.0, "t": 1e3}
+SHARES = {"%": 1e-2, "-": 1.0}
+SLOPES = {"permil": 1e-3, "%": 1e-2, "-": 1.0}
+ACCELERATIONS = {"m/s^2": 1.0}
+
+
+class Line(Strict):
+    """Stops (m, the first is the start); speed_limits [[from m, m/s], ..]; gradients [[from m, rise m/m], ..]."""
+
+    stops: Annotated[list[float], Field(min_length=2)]
+    speed_limits: Annotated[list[Pair], Field(min_length=1)]
+    gradients: list[Pair] = [[0.0, 0.0]]
+
+    @field_validator("stops")
+    @classmethod
+    def _forwards(cls, stops: list[float]) -> list[float]:
+        if any(b <= a for a, b in zip(stops, stops[1:], strict=False)):
+            raise ValueError("stops must lie one after another, each farther along the line")
+        return stops
+
+    @field_validator("speed_limits", "gradients")
+    @classmethod
+    def _ordered(cls, pairs: list[list[float]]) -> list[list[float]]:
+        for (a, _), (b, _) in zip(pairs, pairs[1:], strict=False):
+            if b < a + 0.1:
+                raise ValueError(f"positions must increase by at least 0.1 m, but {b:g} m follows {a:g} m")
+        return pairs
+
+    @model_validator(mode="after")
+    def _covered(self) -> Line:
+        for name in ("speed_limits", "gradients"):
+            pairs: list[list[float]] = getattr(self, name)
+            if pairs and pairs[0][0] > self.stops[0]:
+                raise ValueError(f"stops[0] = {self.stops[0]:g} m lies outside the line: {name} begin at "
+                                 f"{pairs[0][0]:g} m")
+        slow = [pair for pair in self.speed_limits if pair[1] <= 0]
+        if slow:
+            raise ValueError(f"speed limits must be positive, but from {slow[0][0]:g} m on it is {slow[0][1]:g} m/s")
+        steep = [pair for pair in self.gradients if abs(pair[1]) > 0.2]
+        if steep:
+            raise ValueError(f"gradients are rise over length (0.018 is 18 per mille), at most 0.2, but from "
+                             f"{steep[0][0]:g} m on it is {steep[0][1]:g}")
+        return self
+
+    def slope(self, rotating: float) -> Slope:
+        """The gradient's deceleration for the compiled plant."""
+        pairs = np.array(self.gradients)
+        return slope_grid(pairs[:, 0], pairs[:, 1], rotating)
+
+    def limit(self, s: np.ndarray) -> np.ndarray:
+        """The speed limit (m/s) at positions s (m), any shape."""
+        pairs = np.array(self.speed_limits)
+        return pairs[np.clip(np.searchsorted(pairs[:, 0], s, side="right") - 1, 0, None), 1]
+
+    def gradient(self, s: np.ndarray) -> np.ndarray:
+        """The gradient (m/m) at positions s (m), any shape."""
+        pairs = np.array(self.gradients)
+        return pairs[np.clip(np.searchsorted(pairs[:, 0], s, side="right") - 1, 0, None), 1]
+
+
+class Train(Strict):
+    """mass kg; rotating: its rotating parts as a share; max_speed m/s; max_traction, max_braking N.
+
+    traction, braking: the share of the force left at V km/h, min(1, c0/V + c1 + c2 V + c3 V^2 + c4 V^3) with the five
+    coefficients in km/h, as sources print them (constant power is c0 alone). resistance: [r0, r1, r2] N per kN of
+    weight at V km/h."""
+
+    mass: PositiveFloat
+    rotating: Annotated[float, Field(ge=0, le=1)] = 0.0
+    max_speed: PositiveFloat
+    max_traction: PositiveFloat
+    max_braking: PositiveFloat
+    traction: Powers = [0.0, 1.0, 0.0, 0.0, 0.0]
+    braking: Powers = [0.0, 1.0, 0.0, 0.0, 0.0]
+    resistance: Annotated[list[float], Field(min_length=3, max_length=3)]
+
+    @property
+    def forces(self) -> Forces:
+        """The acceleration law's constants."""
+        inertia = self.mass * (1 + self.rotating)
+        t0, t1, t2, t3, t4 = self.traction
+        b0, b1, b2, b3, b4 = self.braking
+        r0, r1, r2 = (1e-3 * GRAVITY * r / (1 + self.rotating) for r in self.resistance)
+        return Forces(self.max_traction / inertia, t0, t1, t2, t3, t4, self.max_braking / inertia, b0, b1, b2, b3, b4,
+                      r0, r1, r2)
+
+
+def read_line(path: str) -> Line:
+    """A line from a TTOBench track file. Raises ValueError with the file's name."""
+    table = _json(path)
+    stops = _entry(table, "stops", path)
+    scale = _unit(stops.get("unit"), LENGTHS, "stops", path)
+    line = {"stops": [scale * s for s in _numbers(stops.get("values"), "stops", path)],
+            "speed_limits": _pairs(table, "speed limits", "velocity", SPEEDS, path)}
+    if "gradients" in table:
+        line["gradients"] = _pairs(table, "gradients", "slope", SLOPES, path)
+    return _checked(Line, line, path)
+
+
+def read_train(path: str) -> Train:
+    """A train from a TTOBench train file. Raises ValueError with the file's name.
+
+    Forces are limited by force, power and, where given, by the greatest acceleration and deceleration; pneumatic
+    brakes are taken to hold their force at any speed."""
+    table = _json(path)
+    mass = _value(table, "mass", MASSES, path)
+    rotating = _value(table, "rho", SHARES, path, 0.0)
+    inertia = mass * (1 + rotating)
+    traction = _value(table, "max traction force", FORCES, path)
+    regenerative = _value(table, "max reg braking force", FORCES, path, 0.0)
+    pneumatic = _value(table, "max pn braking force", FORCES, path, 0.0)
+    pull = min(traction, inertia * _value(table, "max acceleration", ACCELERATIONS, path, np.inf))
+    hold = min(regenerative + pneumatic, inertia * _value(table, "max deceleration", ACCELERATIONS, path, np.inf))
+    weight = 1e-3 * mass * GRAVITY
+    resistance = [_value(table, f"rolling resistance r{k}", _resistances(k), path, 0.0) / weight for k in range(3)]
+    train = {
+        "mass": mass, "rotating": rotating, "max_speed": _value(table, "max speed", SPEEDS, path),
+        "max_traction": pull, "max_braking": hold, "resistance": resistance,
+        "traction": _limited(pull, 0.0, _value(table, "max traction power", POWERS, path, np.inf)),
+        "braking": _limited(hold, pneumatic, _value(table, "max reg braking power", POWERS, path, np.inf)),
+    }
+    return _checked(Train, train, path)
+
+
+def _limited(force: float, constant: float, power: float) -> list[float]:
+    """Share of `force` that constant + power / v leaves, as coefficients in km/h."""
+    if not np.isfinite(power) or force <= 0:
+        return [0.0, 1.0, 0.0, 0.0, 0.0]
+    return [KMH * power / force, constant / force, 0.0, 0.0, 0.0]
+
+
+def _resistances(power: int) -> dict[str, float]:
+    """Units of the coefficient of V^power and their factor to N per (km/h)^power."""
+    below = {0: "", 1: "/({})", 2: "/({})^2"}[power]
+    return {unit + below.format(speed): force * (KMH / 1.0 if speed == "m/s" else 1.0) ** -power
+            for unit, force in FORCES.items() for speed in SPEEDS}
+
+
+def _checked(kind: Any, table: dict[str, Any], path: str) -> Any:
+    try:
+        return kind.model_validate(table)
+    except ValueError as error:
+        details = getattr(error, "errors", list)()
+        text = "; ".join(f"{'.'.join(str(p) for p in item['loc'])}: {item['msg'].removeprefix('Value error, ')}"
+                         .removeprefix(": ") for item in details) or str(error)
+        raise ValueError(f"{path}: {text}") from None
+
+
+def _json(path: str) -> dict[str, Any]:
+    try:
+        table = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: not a JSON file: {error}") from None
+    if not isinstance(table, dict):
+        raise ValueError(f"{path}: not a track or train file: it must hold a JSON object")
+    return table
+
+
+def _entry(table: dict[str, Any], key: str, path: str) -> dict[str, Any]:
+    if not isinstance(table.get(key), dict):
+        raise ValueError(f"{path}: \"{key}\" is missing; the file has {', '.join(table) or 'nothing'}")
+    return table[key]
+
+
+def _unit(unit: Any, allowed: dict[str, float], key: str, path: str) -> float:
+    if unit not in allowed:
+        raise ValueError(f"{path}: unit {unit!r} of \"{key}\" is unknown; allowed: {', '.join(allowed)}")
+    return allowed[unit]
+
+
+def _numbers(values: Any, key: str, path: str) -> list[float]:
+    if not isinstance(values, list) or not values:
+        raise ValueError(f"{path}: \"{key}\" needs a list of values")
+    bad = [v for v in values if not isinstance(v, int | float) or isinstance(v, bool)]
+    if bad:
+        raise ValueError(f"{path}: \"{key}\" must be numbers (got {bad[0]!r})")
+    return [float(v) for v in values]
+
+
+def _pairs(table: dict[str, Any], key: str, second: str, units: dict[str, float], path: str) -> list[list[float]]:
+    entry = _entry(table, key, path)
+    named = entry.get("units") if isinstance(entry.get("units"), dict) else {}
+    scales = (_unit(named.get("position"), LENGTHS, key, path), _unit(named.get(second), units, key, path))
+    rows = entry.get("values")
+    if not isinstance(rows, list) or not rows or any(not isinstance(row, list) or len(row) != 2 for row in rows):
+        raise ValueError(f"{path}: \"{key}\" needs rows [position, {second}]")
+    return [[scale * v for scale, v in zip(scales, _numbers(row, key, path), strict=True)] for row in rows]
+
+
+def _value(table: dict[str, Any], key: str, units: dict[str, float], path: str, default: float | None = None) -> float:
+    if key not in table and default is not None:
+        return default
+    entry = _entry(table, key, path)
+    return _unit(entry.get("unit"), units, key, path) * _numbers([entry.get("value")], key, path)[0]

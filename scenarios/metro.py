@@ -1,0 +1,188 @@
+"""The metro setting: a train under bounded disturbance on one section or a whole line (Ningbo Line 7, Liu et al. 2025).
+
+Truth: `metro_trip`; what estimators are told: the same acceleration law without the disturbance, and its bounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
+
+from . import metro_plant as compiled
+from .channels import Channel, Ideal
+from .errors import InputError
+from .line import Line, Train, read_line, read_train
+from .metro_disturbance import UNTOUCHED, Disturbance, Sensors
+from .metro_trip import Controller, check, simulate
+from .model import Bounds, DesignModel, Portion
+from .randomness import Streams
+from .schema import ScenarioConfig, Strict
+from .setting import Quantity, Setting
+from .world import Trajectory
+
+Array = NDArray[np.float64]
+Two = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
+
+
+class Plant(Strict):
+    """line, train: tables, or paths of TTOBench files. start_speed m/s; start_error: the estimators' first errors are
+    uniform within +-[m, m/s]."""
+
+    kind: Literal["metro"]
+    line: Line
+    train: Train
+    controller: Controller
+    start_speed: NonNegativeFloat
+    start_error: Two
+
+    @field_validator("line", mode="before")
+    @classmethod
+    def _line_file(cls, value: Any) -> Any:
+        return read_line(value) if isinstance(value, str) else value
+
+    @field_validator("train", mode="before")
+    @classmethod
+    def _train_file(cls, value: Any) -> Any:
+        return read_train(value) if isinstance(value, str) else value
+
+
+class Knowledge(Strict):
+    """What estimators are told. w_bar m/s^2, v_bar [m, m/s]: bounds. moments: the second moments that follow from
+    them (uniform: bound^2 / 3; gaussian: bound^2 / 9). sigma_w m/s^2, sigma_v [m, m/s]: standard deviations instead.
+
+    initial_sd [m, m/s]. kappa: a constant factor of the linearisation error instead of the computed one."""
+
+    w_bar: PositiveFloat
+    v_bar: Two
+    moments: Literal["uniform", "gaussian"] = "uniform"
+    sigma_w: PositiveFloat | None = None
+    sigma_v: Two | None = None
+    initial_sd: Two
+    kappa: NonNegativeFloat | None = None
+
+    @property
+    def process_sd(self) -> float:
+        """Standard deviation of the acceleration disturbance, m/s^2."""
+        return self.sigma_w or self.w_bar / self.divisor
+
+    @property
+    def sensor_sd(self) -> Array:
+        """Standard deviations of the measurement noise (2,)."""
+        return np.array(self.sigma_v or [bar / self.divisor for bar in self.v_bar])
+
+    @property
+    def divisor(self) -> float:
+        return 3.0 if self.moments == "gaussian" else 3.0**0.5
+
+
+class MetroConfig(ScenarioConfig):
+    plant: Plant
+    disturbance: Disturbance
+    sensors: Sensors
+    channel: Channel = Ideal()
+    knowledge: Knowledge
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MetroConfig:
+        check(self.plant.line, self.plant.train, self.plant.controller, self.disturbance.w_bar)
+        return self
+
+
+class Metro(Setting[MetroConfig]):
+    """State [position m, speed m/s], input u in [-1, 1]: share of the greatest traction or braking force."""
+
+    kind: ClassVar[str] = "metro"
+    Config: ClassVar[type[ScenarioConfig]] = MetroConfig
+    files: ClassVar[tuple[str, ...]] = ("ningbo-metro.toml",)
+
+    def quantities(self) -> tuple[Quantity, ...]:
+        return Quantity("position", "m", ((0, 1.0),)), Quantity("speed", "m/s", ((1, 1.0),))
+
+    @cached_property
+    def steps(self) -> int:
+        """Steps of the world: time.steps, or more where the slowest trip over the line (w = -w_bar) needs them.
+
+        Raises InputError where that trip does not end."""
+        plant, time = self.config.plant, self.config.time
+        line, w_bar = plant.line, self.config.disturbance.w_bar
+        longest = (line.stops[-1] - line.stops[0]) / 1.0 + plant.controller.dwell * len(line.stops) + 100.0
+        w = np.full((max(time.steps, math.ceil(longest / time.period)), 1), -w_bar)
+        trip = simulate(line, plant.train, plant.controller, self.start, time.period, w, UNTOUCHED, w_bar, False)
+        if trip.active[-1, 0]:
+            raise InputError(f"{self.config.name}: the train does not reach its last stop: after {longest:.0f} s of "
+                             f"w = -w_bar it is at {trip.state[-1, 0, 0]:.0f} m of {line.stops[-1]:.0f} m")
+        return max(time.steps, math.ceil(1.05 * float(trip.active.sum())))
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """True position (m) and speed (m/s) at the start."""
+        return self.config.plant.line.stops[0], self.config.plant.start_speed
+
+    def batch_bytes(self) -> int:
+        return self.steps * 8 * 16
+
+    def world(self, streams: Streams) -> Trajectory:
+        config, plant = self.config, self.config.plant
+        steps, period = self.steps, config.time.period
+        random, sensed = streams("truth"), streams("measurement")
+        error = random.uniform(-1.0, 1.0, 2) * np.array(plant.start_error)[:, None]
+        factors = config.disturbance.factors(random)
+        w = config.disturbance.draw(random, steps, period)
+        trip = simulate(plant.line, plant.train, plant.controller, self.start, period, w, factors,
+                        config.disturbance.w_bar, config.disturbance.form == "physical")
+        y = trip.state + config.sensors.draw(sensed, steps, period)
+        position = trip.state[:, 0]
+        return Trajectory(
+            truth=trip.state, u=trip.u, y=y, received=config.channel.draw(streams("channel"), steps, 2),
+            active=trip.active, portions=np.ones(steps), initial_mean=np.array(self.start)[:, None] + error,
+            extra={"disturbance": trip.w, "reference-speed": trip.reference, "section": trip.section.astype(float),
+                   "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
+
+    def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        told: Knowledge = self.resolve_knowledge(knowledge)
+        train, line, period = self.config.plant.train, self.config.plant.line, self.config.time.period
+        forces, slope = train.forces, line.slope(train.rotating)
+        whole = np.array([period])
+
+        def seconds(portion: Portion) -> Array:
+            if isinstance(portion, float):
+                return whole if portion == 1.0 else np.array([period * portion])
+            return period * np.asarray(portion, dtype=float)
+
+        def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
+            points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
+            return compiled.transition(points, u[0], seconds(portion), forces, slope).reshape(x.shape)
+
+        def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
+            return compiled.transition_jacobian(x, u[0], seconds(portion), forces)
+
+        def covariance(h: Array) -> Array:
+            gamma = np.array([0.5 * h * h, h]) * told.process_sd
+            return gamma[:, None] * gamma[None, :]
+
+        once = covariance(whole)
+
+        def process_covariance(x: Array, u: Array, k: int, portion: Portion) -> Array:
+            return once if isinstance(portion, float) and portion == 1.0 else covariance(seconds(portion))
+
+        def kappa(x: Array, u: Array, Pi: Array) -> Array:
+            if told.kappa is not None:
+                return np.full(x.shape[1], told.kappa)
+            return compiled.slope_change(x, u[0], Pi, period, forces)
+
+        gain = np.array([[0.5 * period**2], [period]])
+        identity, noise = np.eye(2)[:, :, None], np.diag(told.sensor_sd**2)[:, :, None]
+        return DesignModel(
+            states=("position", "speed"), measurements=("position", "speed"), period=period,
+            transition=transition, measurement=lambda x, k: x,
+            transition_jacobian=jacobian, measurement_jacobian=lambda x, k: identity,
+            process_covariance=process_covariance, measurement_covariance=lambda k: noise,
+            initial_mean=initial_mean, initial_covariance=np.diag(np.square(told.initial_sd))[:, :, None],
+            bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=np.array(told.v_bar),
+                          M=np.array([[0.5 * period], [1.0]]), N=np.array([[0.0, 1.0]]), kappa=kappa),
+            reception=self.config.channel.reception())

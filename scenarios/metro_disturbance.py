@@ -1,0 +1,122 @@
+"""The metro's disturbance and sensor noise, drawn per run: every variant of the page, none outside its bounds but Gaussian.
+
+Whole trajectories are drawn at once, so that the compiled trip only looks them up."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+
+from .randomness import RunRandom
+from .schema import Strict
+
+Array = NDArray[np.float64]
+Range = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
+Form = Literal["white", "sinusoid", "switching", "constant", "physical", "gaussian"]
+
+UNTOUCHED = np.array([[1.0], [1.0], [1.0], [0.0], [0.0]])
+
+
+class Disturbance(Strict):
+    """The acceleration disturbance w(k), |w| <= w_bar (m/s^2; gaussian: standard deviation w_bar / 3).
+
+    sinusoid: period range s. switching: the sign alternates, pieces last `piece` s with amplitude `amplitude` w_bar.
+    physical: what follows from mass, traction and braking force (shares), gradient (m/m) and wind (m/s), each uniform
+    within +- the value and constant in a run, cut to +-w_bar."""
+
+    form: Form
+    w_bar: PositiveFloat
+    period: Range = [15.0, 60.0]
+    piece: Range = [3.0, 15.0]
+    amplitude: Range = [0.5, 1.0]
+    mass: Annotated[float, Field(ge=0, lt=1)] = 0.08
+    force: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    gradient: NonNegativeFloat = 0.003
+    wind: NonNegativeFloat = 15 / 3.6
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Disturbance:
+        for name in ("period", "piece", "amplitude"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} = [least, most] needs least <= most")
+        if self.amplitude[1] > 1:
+            raise ValueError("amplitude is a share of w_bar: at most 1")
+        return self
+
+    def draw(self, random: RunRandom, steps: int, period: float) -> Array:
+        """w (steps, S) in m/s^2; zero where `factors` make the disturbance."""
+        bar = self.w_bar
+        if self.form == "white":
+            return random.uniform(-bar, bar, steps)
+        if self.form == "gaussian":
+            return random.normal(steps) * (bar / 3)
+        if self.form == "sinusoid":
+            return bar * wave(random, self.period, steps, period)
+        if self.form == "constant":
+            return np.repeat(bar * random_sign(random)[None, :], steps, axis=0)
+        if self.form == "switching":
+            return self._switching(random, steps, period)
+        return np.zeros((steps, len(random.runs)))
+
+    def factors(self, random: RunRandom) -> Array:
+        """(5, S): factors of mass, traction and braking force, offset of the gradient m/m, head wind m/s."""
+        if self.form != "physical":
+            return np.repeat(UNTOUCHED, len(random.runs), axis=1)
+        spread = np.array([[self.mass], [self.force], [self.force], [self.gradient], [self.wind]])
+        return UNTOUCHED + spread * random.uniform(-1.0, 1.0, 5)
+
+    def _switching(self, random: RunRandom, steps: int, period: float) -> Array:
+        pieces = int(np.ceil(steps * period / self.piece[0])) + 1
+        sign = random_sign(random)
+        length = random.uniform(self.piece[0], self.piece[1], pieces)
+        height = random.uniform(self.amplitude[0], self.amplitude[1], pieces) * self.w_bar
+        out = np.empty((steps, len(random.runs)))
+        for r in range(out.shape[1]):
+            until = np.searchsorted(np.arange(steps) * period, np.cumsum(length[:, r]))
+            lasting = np.diff(until, prepend=0)
+            alternating = sign[r] * height[:, r]
+            alternating[1::2] *= -1
+            out[:, r] = np.repeat(alternating, lasting)[:steps]
+        return out
+
+
+class Sensors(Strict):
+    """Position and speed sensors with |v_m| <= v_bar [m, m/s], every step.
+
+    noise: uniform; biased, v_bar (share sin + (1 - share) U(-1, 1)) with a sine of `period` s drawn per run and
+    sensor; gaussian, standard deviation v_bar / 3."""
+
+    noise: Literal["uniform", "biased", "gaussian"] = "uniform"
+    v_bar: Range
+    share: Annotated[float, Field(ge=0, le=1)] = 0.5
+    period: Range = [10.0, 40.0]
+
+    def draw(self, random: RunRandom, steps: int, period: float) -> Array:
+        """The measurement noise (steps, 2, S)."""
+        bar = np.array(self.v_bar)[None, :, None]
+        if self.noise == "gaussian":
+            return random.normal(steps, 2) * (bar / 3)
+        if self.noise == "uniform":
+            return random.uniform(-1.0, 1.0, steps, 2) * bar
+        bias = np.stack([wave(random, self.period, steps, period) for _ in range(2)], axis=1)
+        return bar * (self.share * bias + (1 - self.share) * random.uniform(-1.0, 1.0, steps, 2))
+
+
+def wave(random: RunRandom, range_: list[float], steps: int, period: float) -> Array:
+    """A unit sine (steps, S) with its period drawn from `range_` (s) and its phase drawn, per run."""
+    turn = 2 * np.pi / random.uniform(range_[0], range_[1])
+    phase = random.uniform(0.0, 2 * np.pi)
+    time = np.arange(1, steps + 1) * period
+    out = np.empty((steps, len(random.runs)))
+    for r in range(out.shape[1]):  # one run at a time: the sine of a run must not depend on how many there are
+        out[:, r] = np.sin(turn[r] * time + phase[r])
+    return out
+
+
+def random_sign(random: RunRandom) -> Array:
+    """+1 or -1 (S,)."""
+    return 2.0 * random.integers(0, 1) - 1.0

@@ -1,0 +1,212 @@
+"""A trip over all stops of a line: the reference speed, the controller that follows it, and the truth of all runs.
+
+The controller sees the true state; what it asks of the train is the input that estimators are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat
+
+from .line import Line, Train
+from .metro_plant import GRAVITY, KMH, Forces, Slope, acceleration, climb, share
+from .schema import Strict
+
+Array = NDArray[np.float64]
+
+LANDING = 0.75
+"""Greatest deceleration (m/s^2) of the last step before a standstill between sections."""
+
+
+class Controller(Strict):
+    """Automatic train operation. margin m/s: how far under each limit the reference speed stays.
+
+    braking m/s^2: service braking, the reference's slope and feed-forward. gain 1/s on the speed error. effort: least
+    and greatest share of the force; slew: its greatest change per second. dwell s at each stop. ended m/s: a run ends
+    at the last stop when the speed falls to it, or `overrun` m behind that stop."""
+
+    margin: NonNegativeFloat
+    braking: PositiveFloat
+    gain: PositiveFloat
+    effort: Annotated[list[float], Field(min_length=2, max_length=2)]
+    slew: PositiveFloat
+    dwell: NonNegativeFloat = 30.0
+    ended: PositiveFloat = 0.3
+    overrun: PositiveFloat = 50.0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """v_ref^2 = base + rate (s - start) from each start on: pieces first[i]..first[i + 1] - 1 lead to stop i + 1."""
+
+    start: Array
+    base: Array
+    rate: Array
+    first: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, line: Line, train: Train, controller: Controller) -> Reference:
+        """The fastest speed that keeps margin and service braking, backwards from each stop."""
+        pieces: list[tuple[float, float, float]] = []
+        first = [0]
+        edges = [position for position, _ in line.speed_limits]
+        for begin, stop in zip(line.stops, line.stops[1:], strict=False):
+            starts = [begin, *(edge for edge in edges if begin < edge < stop)]
+            limits = np.minimum(line.limit(np.array(starts)), train.max_speed) - controller.margin
+            section: list[tuple[float, float, float]] = []
+            after = 0.0
+            for a, b, top in zip(reversed(starts), reversed([*starts[1:], stop]), reversed(limits**2), strict=True):
+                brake = 2 * controller.braking
+                from_ = max(a, b - max(top - after, 0.0) / brake)
+                if after < top:
+                    section.append((from_, after + brake * (b - from_), -brake))
+                if from_ > a or after >= top:
+                    section.append((a, float(top), 0.0))
+                after = min(float(top), after + brake * (b - a))
+            pieces += reversed(section)
+            first.append(len(pieces))
+        start, base, rate = (np.array(column) for column in zip(*pieces, strict=True))
+        return cls(start, base, rate, np.array(first))
+
+
+def check(line: Line, train: Train, controller: Controller, w_bar: float) -> None:
+    """Raise ValueError where this train cannot make this trip: limits, climbing, braking."""
+    for position, limit in line.speed_limits:
+        if limit <= controller.margin:
+            raise ValueError(f"the speed limit of {limit:.2f} m/s from {position:g} m on is not above the controller's "
+                             f"margin of {controller.margin:.2f} m/s (plant.controller.margin)")
+    forces, g = train.forces, GRAVITY / (1 + train.rotating)
+    pull = controller.effort[1] * forces.drive * share(5.0, *forces[1:6]) - forces.r0 - w_bar
+    for position, rise in line.gradients:
+        if position < line.stops[-1] and g * rise >= pull:
+            raise ValueError(f"the train cannot climb {1e3 * rise:.1f} per mille from {position:g} m on: with a "
+                             f"disturbance of {w_bar:g} m/s^2 it manages {1e3 * pull / g:.1f} per mille")
+    plan = Reference.of(line, train, controller)
+    ends = [*plan.start[1:], line.stops[-1]]
+    for start, end, base, rate in zip(plan.start, ends, plan.base, plan.rate, strict=True):
+        if rate < 0:
+            inside = [p for p, _ in line.gradients if start < p < end]
+            rise = float(line.gradient(np.array([start, *inside])).min())
+            hold = -controller.effort[0] * forces.brake * share(KMH * base**0.5, *forces[7:12]) + forces.r0 + g * rise
+            if hold < controller.braking:
+                raise ValueError(f"the train cannot brake at {controller.braking:g} m/s^2 from {start:.0f} m on: it "
+                                 f"manages {hold:.2f} m/s^2 there (plant.controller.braking must be lower)")
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Truth of S runs over K steps: state (K, 2, S), u (K, 1, S), w as it acted (K, S) m/s^2, active (K, S), section
+    (K, S) under way (counted from 0; dwelling at its end included), reference speed (K, S) m/s."""
+
+    state: Array
+    u: Array
+    w: Array
+    active: NDArray[np.bool_]
+    section: NDArray[np.int64]
+    reference: Array
+
+
+def simulate(line: Line, train: Train, controller: Controller, start: tuple[float, float], period: float, w: Array,
+             factors: Array, bound: float, physical: bool) -> Trip:
+    """The trips of all runs. w (K, S) and factors (5, S) as `Disturbance` draws them; start: position m, speed m/s."""
+    steps, runs = w.shape
+    state, u = np.empty((steps, 2, runs)), np.empty((steps, 1, runs))
+    reference, acted = np.empty((steps, runs)), w.copy()
+    active, section = np.empty((steps, runs), dtype=np.bool_), np.empty((steps, runs), dtype=np.int64)
+    plan = Reference.of(line, train, controller)
+    _simulate(train.forces, line.slope(train.rotating), plan.start, plan.base, plan.rate, plan.first,
+              np.array(line.stops), np.array(start), period, (controller.braking, controller.gain, controller.effort[0],
+              controller.effort[1], controller.slew, controller.ended, controller.overrun),
+              round(controller.dwell / period), factors, bound, GRAVITY / (1 + train.rotating), physical, acted, state,
+              u, active, section, reference)
+    return Trip(state, u, acted, active, section, reference)
+
+
+@njit(cache=True)
+def _effort(a, s, v, forces, slope):  # pyright: ignore
+    """The input u that gives the acceleration a: the inverse of `acceleration`, not yet limited."""
+    V = KMH * v
+    force = a + forces.r0 + V * (forces.r1 + V * forces.r2) + climb(s, slope)
+    if force < 0.0:
+        return force / (forces.brake * max(share(V, forces.b0, forces.b1, forces.b2, forces.b3, forces.b4), 1e-3))
+    return force / (forces.drive * max(share(V, forces.t0, forces.t1, forces.t2, forces.t3, forces.t4), 1e-3))
+
+
+@njit(cache=True)
+def _disturbed(s, v, u, forces, slope, mass, pull, hold, rise, wind, g):  # pyright: ignore
+    """The acceleration of a train whose mass, forces, gradient and wind are not the nominal ones (page: `physical`).
+
+    Rolling resistance is per weight, so the mass leaves it alone; the wind changes the air's part, r2."""
+    V, air = KMH * v, KMH * (v + wind)
+    if u < 0.0:
+        force = forces.brake * share(V, forces.b0, forces.b1, forces.b2, forces.b3, forces.b4) * hold
+    else:
+        force = forces.drive * share(V, forces.t0, forces.t1, forces.t2, forces.t3, forces.t4) * pull
+    drag = forces.r0 + forces.r1 * V + forces.r2 * air * abs(air)
+    return u * force / mass - drag - climb(s, slope) - g * rise
+
+
+@njit(cache=True)
+def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control, dwell, factors, bound, g, physical,
+              w, state, u, active, section, reference):  # pyright: ignore
+    """Fill state, u, active, section, reference; w is overwritten by what acted.
+
+    RUNNING follows the reference. LANDING (one step between sections) asks for standstill, HELD (one more) reaches it
+    exactly; the residual speed is at most T w_bar, so that w keeps its bound. WAITING counts the dwell. At standstill
+    u holds the train against gradient and resistance."""
+    RUNNING, LANDING_STEP, HELD, WAITING, DONE = 0, 1, 2, 3, 4
+    brake, gain, least, greatest, slew, ended, overrun = control
+    steps, runs = w.shape
+    sections = first.shape[0] - 1
+    for r in range(runs):
+        s, v, effort = begin[0], begin[1], 0.0
+        mode, leg, piece, waited, departed = RUNNING, 0, 0, 0, False
+        for k in range(steps):
+            wanted = 0.0
+            if mode == RUNNING:
+                while piece + 1 < first[leg + 1] and s >= start[piece + 1]:
+                    piece += 1
+                square = base[piece] + rate[piece] * (s - start[piece])
+                wanted = np.sqrt(max(square, 0.0))
+                asked = _effort(0.5 * rate[piece] + gain * (wanted - v), s, v, forces, slope)
+                asked = min(max(asked, least), greatest)
+                effort = min(max(asked, effort - slew * T), effort + slew * T)
+            else:
+                effort = _effort(-v / T, s, v, forces, slope)
+            a = acceleration(s, v, effort, forces, slope)
+            if mode == RUNNING or mode == LANDING_STEP:
+                if physical:
+                    off = _disturbed(s, v, effort, forces, slope, factors[0, r], factors[1, r], factors[2, r],
+                                     factors[3, r], factors[4, r], g) - a
+                    w[k, r] = min(max(off, -bound), bound)
+                if mode == RUNNING and not departed and v + T * (a + w[k, r]) < 0.0:
+                    w[k, r] = -v / T - a  # brakes off, but the train does not roll back
+            else:
+                w[k, r] = 0.0
+            total = a + w[k, r]
+            s += T * v + 0.5 * T * T * total
+            v += T * total
+            if mode == HELD or mode == WAITING or mode == DONE:
+                v = 0.0  # but for rounding it is
+            state[k, 0, r], state[k, 1, r], u[k, 0, r] = s, v, effort
+            active[k, r], section[k, r], reference[k, r] = mode != DONE, leg, wanted
+            if mode == RUNNING:
+                departed = departed or v > 1.0
+                if leg + 1 == sections:
+                    if (departed and v <= ended) or s > stops[leg + 1] + overrun:
+                        mode = DONE
+                elif departed and v <= LANDING * T:
+                    mode = LANDING_STEP
+            elif mode == LANDING_STEP:
+                mode = HELD
+            elif mode == HELD:
+                mode, waited = WAITING, 0
+            elif mode == WAITING:
+                waited += 1
+                if waited >= dwell:
+                    mode, leg, departed = RUNNING, leg + 1, False
+                    piece = first[leg]
