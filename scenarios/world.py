@@ -45,9 +45,14 @@ class World(Protocol):
 
     mean (nx, S) is the estimator's latest estimate (before this step); open-loop worlds ignore it."""
 
-    steps: int
-    initial_mean: Array
-    closed_loop: bool
+    @property
+    def steps(self) -> int: ...
+
+    @property
+    def initial_mean(self) -> Array: ...
+
+    @property
+    def closed_loop(self) -> bool: ...
 
     def step(self, k: int, mean: Array) -> Step: ...
 

@@ -1,0 +1,215 @@
+"""Filters under the random access protocol: one sensor node transmits at each step (Zou, Wang, Han, Zhou).
+
+`RandomAccess` averages over the nodes in its covariance, `ConditionalRandomAccess` uses the node that was heard."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import DesignModel, Linear, Portion, Reception, product
+from ..scenarios.randomness import RunRandom
+from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
+from .kernels import congruence
+from .random_access_bounds import CovarianceBounds
+
+Array = NDArray[np.float64]
+
+
+def predicted_covariance(linear: Linear, P: Array, k: int) -> Array:
+    """(10): P(k+1|k) from P(k|k), both (nx, nx)."""
+    A = linear.A(k)
+    return A @ P @ A.T + linear.Q(k)
+
+
+def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -> tuple[tuple[Array, ...], Array]:
+    """(11), (12): each node's gain (nx, sensors of the node) and P(k|k) from P(k|k-1), (nx, nx).
+
+    sum p_i Phi_i (C P C' + R) Phi_i of (12) is block diagonal over the nodes, so p cancels in the gain, whatever the
+    number of sensors a node owns; (11), and with it the next gains, still depend on p."""
+    C, R = linear.C(k), linear.R(k)
+    gains: list[Array] = []
+    updated = np.zeros_like(P)
+    for node, p in zip(reception.nodes, reception.p, strict=True):
+        rows = list(node)
+        c, r = C[rows], R[np.ix_(rows, rows)]
+        K = np.asarray(np.linalg.solve(c @ P @ c.T + r, c @ P).T, dtype=np.float64)
+        left = np.eye(len(P)) - K @ c
+        updated += p * (left @ P @ left.T + K @ r @ K.T)
+        gains.append(K)
+    return tuple(gains), (updated + updated.T) / 2
+
+
+class _Protocol(Estimator):
+    """What both filters share: the model they need and the motion of the mean."""
+
+    needs = ("linear", "reception")
+    claims = ("covariance",)
+    linear: Linear
+    reception: Reception
+
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        if model.reception is None or not model.reception.nodes:
+            raise Unsupported(f"{cls.__name__} needs a random access channel: channel.kind = \"random-access\"")
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        assert model.linear is not None and model.reception is not None
+        self.linear, self.reception, self.k = model.linear, model.reception, 0
+        self.mean = model.initial_mean.copy()
+
+    def _move_mean(self, u: Array, portion: Portion) -> None:
+        if np.any(np.asarray(portion) != 1.0):
+            raise Unsupported(f"{type(self).__name__} predicts whole sampling periods only, not {portion} of one")
+        self.mean = self.model.transition(self.mean, u, self.k, 1.0)
+
+    def _heard(self, received: Mask, node: tuple[int, ...]) -> Mask:
+        """(S,): runs in which all of a node's sensors arrived."""
+        return np.logical_and.reduce(received[list(node)])
+
+
+class RandomAccessParameters(Parameters):
+    """What `design` analyses; the filter itself has nothing to tune."""
+
+    horizon: int = Field(300, ge=4, description="Steps the bounds are computed and checked over.")
+    sigma: PositiveFloat | None = Field(None, description="Claimed bound P <= sigma I, to check by (30), (31).")
+    m: PositiveInt | None = Field(None, description="Window length of (30) that goes with sigma.")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RandomAccessParameters:
+        if (self.sigma is None) != (self.m is None):
+            raise ValueError("sigma and m go together: give both or neither")
+        if self.m is not None and self.m >= self.horizon:
+            raise ValueError(f"m must be less than horizon = {self.horizon}")
+        return self
+
+
+class RandomAccess(_Protocol):
+    """The recursive filter of Theorem 1: gain (12) and covariance (11) are expectations over the protocol.
+
+    They depend on neither data nor the nodes heard, so all runs share them. The claim E e e' = P holds over runs, not
+    given the nodes that were heard."""
+
+    Parameters = RandomAccessParameters
+    summary = "recursive filter under the random access protocol, covariance averaged over it"
+    source = "Zou, Wang, Han, Zhou: Recursive Filtering for Time-Varying Systems with Random Access Protocol, Theorem 1"
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        """The first gains, the range of P's eigenvalues over `horizon` steps, and the bounds of Theorems 2 to 4."""
+        assert model.linear is not None and model.reception is not None
+        P0 = model.initial_covariance[:, :, 0]
+        gains, P = covariance_sequence(model, self.parameters.horizon)
+        eigenvalues = np.linalg.eigvalsh(P)
+        bounds = CovarianceBounds(model.linear, model.reception, P0, self.parameters.horizon)
+        return {
+            "gains": {f"K_{k + 1}": gains[k].tolist() for k in range(3)},
+            "eigenvalues of P": {"least": float(eigenvalues.min()), "greatest": float(eigenvalues.max()),
+                                 "greatest from k = 1": float(eigenvalues[1:].max())},
+            "assumption 1": {name: getattr(bounds, name) for name in (
+                "q_low", "q_high", "r_low", "r_high", "c", "c_hat", "a_low", "a_high")},
+            "lower bound (21)": bounds.lower,
+            "upper bound (26)": {f"mu_{k}": float(bounds.mu[k]) for k in (0, 1, self.parameters.horizon)},
+            "proposition 1": bounds.uniform if bounds.uniform is not None else "does not apply: a_high is not below 1",
+            **self._conditions(bounds),
+        }
+
+    def _conditions(self, bounds: CovarianceBounds) -> dict[str, Any]:
+        found = bounds.search()
+        out: dict[str, Any] = {}
+        if self.parameters.sigma is not None:
+            claim = bounds.check(self.parameters.sigma, self.parameters.m)
+            worst, failing = int(np.argmin(claim.least)), claim.steps[~claim.holds]
+            out["claimed (30), (31)"] = {
+                "sigma": claim.sigma, "m": claim.m, "verdict": "verified" if claim.verified else "not verified",
+                "least eigenvalue in (30)": float(claim.least[worst]), "at k": int(claim.steps[worst]),
+                "needed": 1 / claim.sigma, "steps": len(claim.steps), "steps where (30) fails": len(failing),
+                "first k where (30) fails": int(failing[0]) if len(failing) else "none",
+                "(31) holds": claim.mu_holds}
+        out["valid (30), (31)"] = ({"least sigma": found[0], "m": found[1]} if found
+                                   else "none up to sigma = 1e6, m = 20")
+        return out
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self.P = model.initial_covariance[:, :, 0].copy()
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        self._move_mean(u, portion)
+        self.P = predicted_covariance(self.linear, self.P, self.k)
+        self.k += 1
+
+    def update(self, y: Array, received: Mask) -> None:
+        if not np.isfinite(self.P).all():
+            flag(self, np.ones(self.runs, dtype=bool), Status.failed, "the covariance grew beyond all bounds")
+            return
+        gains, self.P = updated_covariance(self.linear, self.reception, self.P, self.k)
+        expected = product(self.linear.C(self.k), self.mean)
+        for node, K in zip(self.reception.nodes, gains, strict=True):
+            heard = self._heard(received, node)
+            innovation = np.stack([np.where(heard, y[i] - expected[i], 0.0) for i in node])
+            self.mean = self.mean + product(K, innovation)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self.mean, covariance=self.P[:, :, None])
+
+
+class ConditionalRandomAccess(_Protocol):
+    """The conditional filter of Remark 4: a Kalman filter with the rows of the node heard, the optimum of the problem.
+
+    Its covariance depends on the nodes heard so far, so each run has its own (nx, nx, S)."""
+
+    summary = "Kalman filter given the node that was heard: the optimum under random access"
+    source = "Zou, Wang, Han, Zhou: Recursive Filtering for Time-Varying Systems with Random Access Protocol, Remark 4"
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self.P = np.repeat(model.initial_covariance, runs, axis=2)
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        self._move_mean(u, portion)
+        A, Q = self.linear.A(self.k), self.linear.Q(self.k)
+        congruence(A[:, :, None], self.P, Q[:, :, None], self.P)
+        self.k += 1
+
+    def update(self, y: Array, received: Mask) -> None:
+        """A node's sensors are made uncorrelated by the Cholesky factor of their R, then taken one at a time."""
+        C, R = self.linear.C(self.k), self.linear.R(self.k)
+        for node in self.reception.nodes:
+            rows = list(node)
+            heard = self._heard(received, node)
+            whiten = np.asarray(np.linalg.inv(np.linalg.cholesky(R[np.ix_(rows, rows)])), dtype=np.float64)
+            white_y = product(whiten, np.where(heard, y[rows], 0.0))
+            for c, value in zip(whiten @ C[rows], white_y, strict=True):
+                Pc = product(c[None], self.P)[0]
+                spread = product(c[None], Pc)[0] + 1.0
+                innovation = np.where(heard, value - product(c[None], self.mean)[0], 0.0)
+                self.mean = self.mean + Pc * (innovation / spread)
+                self.P = self.P - np.where(heard, Pc[:, None] * Pc[None, :] / spread, 0.0)
+        flag(self, ~np.isfinite(self.mean).all(axis=0), Status.failed, "the estimate is not finite")
+
+    def estimate(self) -> Estimate:
+        return Estimate(self.mean, covariance=self.P)
+
+
+def covariance_sequence(model: DesignModel, horizon: int) -> tuple[list[Array], Array]:
+    """Theorem 1's gains K_1 .. K_horizon (nx, ny each) and covariances P(k|k), k = 0 .. horizon, (horizon + 1, nx, nx).
+
+    For tables and figures (the trace of P against its bounds); the filter itself goes step by step."""
+    linear, reception = model.linear, model.reception
+    assert linear is not None and reception is not None
+    P = model.initial_covariance[:, :, 0]
+    gains, covariances = [], [P]
+    for k in range(horizon):
+        by_node, P = updated_covariance(linear, reception, predicted_covariance(linear, P, k), k + 1)
+        K = np.zeros((model.nx, model.ny))
+        for node, part in zip(reception.nodes, by_node, strict=True):
+            K[:, list(node)] = part
+        gains.append(K)
+        covariances.append(P)
+    return gains, np.array(covariances)
