@@ -24,25 +24,51 @@ def tile_width(n, runs):
 
 
 @kernel
+def gather2(source, index, width, tile):
+    """tile (n, >= width) := the runs index[:width], in increasing order, of source (n, S)."""
+    first = index[0]
+    if index[width - 1] - first == width - 1:
+        for i in range(source.shape[0]):
+            row, out = source[i, first:first + width], tile[i]
+            for s in range(width):
+                out[s] = row[s]
+    else:
+        for i in range(source.shape[0]):
+            for s in range(width):
+                tile[i, s] = source[i, index[s]]
+
+
+@kernel
+def scatter2(tile, index, width, target):
+    """Write tile (n, >= width) back to the runs index[:width] of target (n, S)."""
+    first = index[0]
+    if index[width - 1] - first == width - 1:
+        for i in range(target.shape[0]):
+            row, out = tile[i], target[i, first:first + width]
+            for s in range(width):
+                out[s] = row[s]
+    else:
+        for i in range(target.shape[0]):
+            for s in range(width):
+                target[i, index[s]] = tile[i, s]
+
+
+@kernel
 def gather3(source, index, width, tile):
     """tile (n, m, >= width) := the runs index[:width] of source (n, m, S), or its one shared slice (n, m, 1)."""
-    shared = source.shape[2] == 1
     for i in range(source.shape[0]):
-        for j in range(source.shape[1]):
-            if shared:
+        if source.shape[2] == 1:
+            for j in range(source.shape[1]):
                 tile[i, j, 0] = source[i, j, 0]
-            else:
-                for s in range(width):
-                    tile[i, j, s] = source[i, j, index[s]]
+        else:
+            gather2(source[i], index, width, tile[i])
 
 
 @kernel
 def scatter3(tile, index, width, target):
     """Write tile (n, m, >= width) back to the runs index[:width] of target (n, m, S)."""
     for i in range(target.shape[0]):
-        for j in range(target.shape[1]):
-            for s in range(width):
-                target[i, j, index[s]] = tile[i, j, s]
+        scatter2(tile[i], index, width, target[i])
 
 
 @kernel

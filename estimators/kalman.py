@@ -1,0 +1,84 @@
+"""The extended Kalman filter and, as the same recursion on a linear model, the Kalman filter.
+
+Missing measurements are masks; what all runs share (covariance, gains) is computed once until they differ."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from ..scenarios.model import DesignModel, Portion
+from ..scenarios.randomness import RunRandom
+from .interface import Array, Estimate, Estimator, Mask, Status, flag
+from .kernels import congruence
+from .kernels_kalman import kalman_update, shared_kalman_update
+
+LOST = "an innovation covariance was not positive definite"
+
+
+class ExtendedKalman(Estimator):
+    """x- = f(x, u), P- = F P F' + Q; K = P- H'(H P- H' + R)^-1, x = x- + K (y - h(x-)), P in Joseph form.
+
+    F and H are the Jacobians at the latest estimate. Elements of y that are missing get no gain; correlated noise is
+    decorrelated over the elements received. The covariance is kept as (nx, nx, 1) as long as the Jacobians, Q and
+    the reception are the same for all runs."""
+
+    summary = "extended Kalman filter (first-order linearisation)"
+    source = "Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 8.1"
+    needs: ClassVar[tuple[str, ...]] = (
+        "transition_jacobian", "measurement_jacobian", "process_covariance", "measurement_covariance")
+    claims = ("covariance",)
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self._mean = np.array(model.initial_mean, dtype=float, order="C")
+        self._covariance = np.array(model.initial_covariance, dtype=float, order="C")
+        self._failed = np.zeros(runs, dtype=bool)
+        self._k = 0
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        model, x, k = self.model, self._mean, self._k
+        assert model.transition_jacobian is not None and model.process_covariance is not None
+        f = np.ascontiguousarray(model.transition_jacobian(x, u, k, portion))
+        q = np.ascontiguousarray(model.process_covariance(x, u, k, portion))
+        self._mean = np.ascontiguousarray(model.transition(x, u, k, portion))
+        if f.shape[2] > 1 or q.shape[2] > 1:
+            self._expand()
+        congruence(f, self._covariance, q, self._covariance)
+        self._k = k + 1
+
+    def update(self, y: Array, received: Mask) -> None:
+        model, x = self.model, self._mean
+        assert model.measurement_jacobian is not None and model.measurement_covariance is not None
+        h = np.ascontiguousarray(model.measurement_jacobian(x, self._k))
+        r = model.measurement_covariance(self._k)
+        predicted = np.ascontiguousarray(model.measurement(x, self._k))
+        shared = self._covariance.shape[2] == 1 < self.runs
+        if shared and (h.shape[2] > 1 or _correlated(r) or (received != received[:, :1]).any()):
+            self._expand()
+            shared = False
+        step = shared_kalman_update if shared else kalman_update
+        if step(x, self._covariance, y, predicted, received, h, r, self._failed):
+            flag(self, self._failed, Status.failed, LOST)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean, covariance=self._covariance)
+
+    def _expand(self) -> None:
+        """From now on the runs' covariances differ."""
+        if self._covariance.shape[2] < self.runs:
+            self._covariance = np.repeat(self._covariance, self.runs, axis=2)
+
+
+def _correlated(r: Array) -> bool:
+    """Whether the noise covariance r (ny, ny, 1) has entries off its diagonal."""
+    return bool(np.count_nonzero(r) > np.count_nonzero(r[:, :, 0].diagonal()))
+
+
+class Kalman(ExtendedKalman):
+    """The Kalman filter of a linear model x+ = A x + B u + h + w, y = C x + v, with intermittent observations."""
+
+    summary = "Kalman filter of a linear model, with missing measurements"
+    source = "Kalman, J. Basic Eng. 82, 1960; intermittent observations: Sinopoli et al., IEEE TAC 49(9), 2004"
+    needs = ("linear", *ExtendedKalman.needs)

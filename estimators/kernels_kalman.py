@@ -1,0 +1,221 @@
+"""Compiled Kalman measurement updates over a batch of runs, each element of each run received or not.
+
+Only runs that received something are touched: they are gathered into tiles that fit the cache, updated, written back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .kernels import factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+
+
+@kernel
+def receivers(received):
+    """Numbers of the runs that received at least one element, increasing."""
+    runs = received.shape[1]
+    index = np.empty(runs, np.int64)
+    count = 0
+    for s in range(runs):
+        for j in range(received.shape[0]):
+            if received[j, s]:
+                index[count] = s
+                count += 1
+                break
+    return index[:count]
+
+
+@kernel
+def innovate(y, predicted, received, out):
+    """out := y - predicted where received, 0 elsewhere (there y is not used: it may be NaN). All (ny, width)."""
+    for j in range(y.shape[0]):
+        for s in range(y.shape[1]):
+            out[j, s] = y[j, s] - predicted[j, s] if received[j, s] else 0.0
+
+
+@kernel
+def _sequential(p, h, variance, received, gain, failed, width):
+    """Covariance p (n, n, width) after measurements h (ny, n, width or 1) of uncorrelated noise, one after the other.
+
+    gain (n, ny, width): each scalar step's gain K = P h'/(h P h' + r), zero where not received. Joseph form
+    (I - K h) P (I - K h)' + K r K' = P - K (P h')' + e K' with e = r K - (P - K (P h')') h'; in exact arithmetic
+    e = 0, in floating point it takes out the error of K to first order. failed is set where h P h' + r <= 0."""
+    n = p.shape[0]
+    product, total, error = np.empty((n, width)), np.empty(width), np.empty((n, width))
+    shared = h.shape[2] == 1
+    for j in range(h.shape[0]):
+        r = variance[j]
+        for i in range(n):
+            for s in range(width):
+                product[i, s] = 0.0
+            for k in range(n):
+                a, b = max(i, k), min(i, k)
+                if not shared:
+                    for s in range(width):
+                        product[i, s] += h[j, k, s] * p[a, b, s]
+                elif h[j, k, 0] != 0.0:
+                    weight = h[j, k, 0]
+                    for s in range(width):
+                        product[i, s] += weight * p[a, b, s]
+        for s in range(width):
+            total[s] = r
+        for k in range(n):
+            for s in range(width):
+                total[s] += (h[j, k, 0] if shared else h[j, k, s]) * product[k, s]
+        for s in range(width):
+            got = received[j, s]
+            good = total[s] > 0.0
+            failed[s] |= got and not good
+            total[s] = (1.0 / total[s] if good else np.nan) if got else 0.0
+        for i in range(n):
+            for s in range(width):
+                value = product[i, s] * total[s]
+                gain[i, j, s] = value
+                error[i, s] = r * value
+            for k in range(n):
+                a, b = max(i, k), min(i, k)
+                if not shared:
+                    for s in range(width):
+                        error[i, s] -= (p[a, b, s] - gain[i, j, s] * product[k, s]) * h[j, k, s]
+                elif h[j, k, 0] != 0.0:
+                    weight = h[j, k, 0]
+                    for s in range(width):
+                        error[i, s] -= (p[a, b, s] - gain[i, j, s] * product[k, s]) * weight
+        for a in range(n):
+            for b in range(a + 1):
+                for s in range(width):
+                    p[a, b, s] = (p[a, b, s] - gain[a, j, s] * product[b, s]) + error[a, s] * gain[b, j, s]
+    for a in range(n):
+        for b in range(a):
+            for s in range(width):
+                p[b, a, s] = p[a, b, s]
+
+
+@kernel
+def _shift(mean, innovation, h, gain, width):
+    """mean (n, width) moved by the scalar steps of `_sequential`: dx += K_j (innovation_j - h_j dx), j = 0, 1, ..
+
+    h (ny, n, width or 1), gain (n, ny, width or 1)."""
+    n = mean.shape[0]
+    change, left = np.zeros((n, width)), np.empty(width)
+    for j in range(h.shape[0]):
+        for s in range(width):
+            left[s] = innovation[j, s]
+        if j > 0:
+            for k in range(n):
+                if h.shape[2] > 1:
+                    for s in range(width):
+                        left[s] -= h[j, k, s] * change[k, s]
+                elif h[j, k, 0] != 0.0:
+                    weight = h[j, k, 0]
+                    for s in range(width):
+                        left[s] -= weight * change[k, s]
+        for i in range(n):
+            if gain.shape[2] > 1:
+                for s in range(width):
+                    change[i, s] += gain[i, j, s] * left[s]
+            else:
+                weight = gain[i, j, 0]
+                for s in range(width):
+                    change[i, s] += weight * left[s]
+    for i in range(n):
+        for s in range(width):
+            mean[i, s] += change[i, s]
+
+
+@kernel
+def _diagonal(r):
+    """Whether the noise covariance r (ny, ny, 1) is diagonal."""
+    for i in range(r.shape[0]):
+        for j in range(r.shape[1]):
+            if i != j and r[i, j, 0] != 0.0:
+                return False
+    return True
+
+
+@kernel
+def _whiten(r, received, h, innovation, failed, width):
+    """Decorrelate the noise of the received elements: h and innovation become L^-1 h, L^-1 innovation, with L L' = r
+    over the received elements, so that the noise left has unit covariance. Returns the new h (ny, n, width)."""
+    ny, n = h.shape[0], h.shape[1]
+    masked, factor, inverse = np.empty((ny, ny, width)), np.empty((ny, ny, width)), np.empty((ny, width))
+    white, column = np.empty((ny, n, width)), np.empty((ny, 1, width))
+    for i in range(ny):
+        for s in range(width):
+            column[i, 0, s] = innovation[i, s]
+        for j in range(ny):
+            for s in range(width):
+                masked[i, j, s] = r[i, j, 0] if received[i, s] and received[j, s] else (1.0 if i == j else 0.0)
+        for k in range(n):
+            for s in range(width):
+                value = h[i, k, 0] if h.shape[2] == 1 else h[i, k, s]
+                white[i, k, s] = value if received[i, s] else 0.0
+    factorise(masked, factor, inverse, failed, True, width)
+    forward(factor, inverse, white, width)
+    forward(factor, inverse, column, width)
+    for i in range(ny):
+        for s in range(width):
+            innovation[i, s] = column[i, 0, s]
+    return white
+
+
+@kernel
+def kalman_update(mean, covariance, y, predicted, received, h, r, failed):
+    """Kalman update in place of the runs that received something. Returns how many runs failed here.
+
+    mean (nx, S), covariance (nx, nx, S), y and predicted = h(mean) (ny, S), received (ny, S) bool, h (ny, nx, S or 1),
+    r (ny, ny, 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over the
+    elements received. failed (S,) is set, and the run's numbers NaN, where an innovation variance is not positive."""
+    n, ny = mean.shape[0], y.shape[0]
+    diagonal = _diagonal(r)
+    variance = np.ones(ny)
+    if diagonal:
+        for j in range(ny):
+            variance[j] = r[j, j, 0]
+    index = receivers(received)
+    wide = max(1, tile_width(n, len(index)))
+    bad = 0
+    x, p = np.empty((n, wide)), np.empty((n, n, wide))
+    measured, guess, got = np.empty((ny, wide)), np.empty((ny, wide)), np.empty((ny, wide), np.bool_)
+    jacobian, gain = np.empty((ny, n, 1 if h.shape[2] == 1 else wide)), np.empty((n, ny, wide))
+    innovation = np.zeros((ny, wide))
+    for first in range(0, len(index), wide):
+        width = min(wide, len(index) - first)
+        part = index[first:first + width]
+        gather2(mean, part, width, x)
+        gather3(covariance, part, width, p)
+        gather2(y, part, width, measured)
+        gather2(predicted, part, width, guess)
+        gather2(received, part, width, got)
+        gather3(h, part, width, jacobian)
+        innovate(measured[:, :width], guess[:, :width], got[:, :width], innovation[:, :width])
+        lost = np.zeros(width, np.bool_)
+        if diagonal:
+            _sequential(p, jacobian, variance, got, gain, lost, width)
+            _shift(x, innovation, jacobian, gain, width)
+        else:
+            white = _whiten(r, got, jacobian, innovation, lost, width)
+            _sequential(p, white, variance, got, gain, lost, width)
+            _shift(x, innovation, white, gain, width)
+        scatter2(x, part, width, mean)
+        scatter3(p, part, width, covariance)
+        for s in range(width):
+            failed[part[s]] |= lost[s]
+            bad += lost[s]
+    return bad
+
+
+@kernel
+def shared_kalman_update(mean, covariance, y, predicted, received, h, r, failed):
+    """`kalman_update` where every run received the same elements: covariance (nx, nx, 1) and h (ny, nx, 1) are shared,
+    r is diagonal, and the gains are computed once for all runs. Bit-identical to `kalman_update` on each run."""
+    n, ny, runs = mean.shape[0], y.shape[0], mean.shape[1]
+    variance, gain, innovation = np.empty(ny), np.empty((n, ny, 1)), np.empty((ny, runs))
+    lost = np.zeros(1, np.bool_)
+    for j in range(ny):
+        variance[j] = r[j, j, 0]
+    _sequential(covariance, h, variance, received, gain, lost, 1)
+    innovate(y, predicted, received, innovation)
+    _shift(mean, innovation, h, gain, runs)
+    for s in range(runs):
+        failed[s] |= lost[0]
+    return runs if lost[0] else 0

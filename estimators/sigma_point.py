@@ -1,0 +1,149 @@
+"""Sigma-point Kalman filters: unscented (scaled or Julier's points) and cubature, one transform with given weights.
+
+The filter always holds the sigma points of its present belief, so a step costs one model call and one kernel each."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..scenarios.errors import Infeasible
+from ..scenarios.model import DesignModel, Portion
+from ..scenarios.randomness import RunRandom
+from .interface import Array, Estimate, Estimator, Mask, Parameters, Status, flag
+from .kernels_unscented import sigma_points, unscented_predict, unscented_update
+
+LOST = "a covariance was not positive definite"
+Weights = tuple[Array, Array, float]
+"""Mean weights (m,), covariance weights (m,), and the points' distance from the mean in standard deviations."""
+
+
+class SigmaPointKalman(Estimator):
+    """Points X = x, x +- c L_i with P = L L'; moments of f(X) plus Q; moments of h(X) plus R; K = Pxy S^-1.
+
+    The covariance after an update is the Joseph form of the transform, sum w (dX - K dY)(dX - K dY)' + K R K', equal
+    to P - K S K' in exact arithmetic, symmetric, and positive semidefinite whatever the rounding where no covariance
+    weight is negative. Missing elements get no gain."""
+
+    needs = ("process_covariance", "measurement_covariance")
+    claims = ("covariance",)
+    redraw: ClassVar[bool] = True
+
+    @abstractmethod
+    def weights(self, n: int) -> Weights:
+        """The transform for n states; without a centre point m = 2 n, with one m = 2 n + 1 and it comes first.
+
+        Raises Infeasible where the parameters give no spread."""
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        mean, covariance, scale = self.weights(model.nx)
+        return {"mean_weights": mean.tolist(), "covariance_weights": covariance.tolist(), "scale": scale}
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        n = model.nx
+        self._weights_mean, self._weights_covariance, self._scale = self.weights(n)
+        self._mean = np.array(model.initial_mean, dtype=float, order="C")
+        self._covariance = np.array(np.broadcast_to(model.initial_covariance, (n, n, runs)), order="C")
+        self._points = np.empty((n, len(self._weights_mean), runs))
+        self._deviations = np.empty_like(self._points)
+        self._failed = np.zeros(runs, dtype=bool)
+        self._nothing = np.zeros((n, n, 1))
+        self._unspread = self._nothing
+        self._k = 0
+        self._draw()
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        model = self.model
+        assert model.process_covariance is not None
+        q = np.ascontiguousarray(model.process_covariance(self._mean, u, self._k, portion))
+        if self._unspread is not self._nothing:
+            self._draw()
+        moved = np.ascontiguousarray(model.transition(self._points, u, self._k, portion))
+        if unscented_predict(moved, self._weights_mean, self._weights_covariance, q, self._scale, self.redraw,
+                             self._mean, self._covariance, self._points, self._deviations, self._failed):
+            flag(self, self._failed, Status.failed, LOST)
+        if not self.redraw:
+            self._points, self._unspread = moved, q
+        self._k += 1
+
+    def update(self, y: Array, received: Mask) -> None:
+        model = self.model
+        assert model.measurement_covariance is not None
+        images = np.ascontiguousarray(model.measurement(self._points, self._k))
+        if unscented_update(self._mean, self._covariance, self._points, self._deviations, images, self._weights_mean,
+                            self._weights_covariance, self._scale, y, received,
+                            model.measurement_covariance(self._k), self._unspread, self._failed):
+            flag(self, self._failed, Status.failed, LOST)
+        if self._unspread is not self._nothing:
+            self._draw()
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean, covariance=self._covariance)
+
+    def _draw(self) -> None:
+        """Fresh points of every run from its mean and covariance."""
+        if sigma_points(self._mean, self._covariance, self._scale, self._points, self._deviations, self._failed):
+            flag(self, self._failed, Status.failed, LOST)
+        self._unspread = self._nothing
+
+
+class UnscentedKalman(SigmaPointKalman):
+    """Unscented Kalman filter. With lambda = alpha^2 (n + kappa) - n: c^2 = n + lambda, W0 = lambda / c^2,
+    Wc0 = W0 + 1 - alpha^2 + beta, all others 1 / (2 c^2).
+
+    The defaults alpha = 1, beta = 0, kappa = max(3 - n, 0) have no negative weight, so covariances stay positive, and
+    their points stay within sqrt(max(3, n)) standard deviations; up to n = 3 they match the Gaussian's fourth moment
+    along each axis. alpha = 1e-3, beta = 2, kappa = 0 is common in print, but its centre weight of about -1e6 turns
+    rounding, and any kink of the model within 1e-3 standard deviations, into errors of the mean."""
+
+    class Parameters(Parameters):
+        points: Literal["scaled", "julier"] = Field(
+            "scaled", description="scaled points (van der Merwe 2004) or Julier's (2000), which know kappa alone")
+        alpha: Annotated[float, Field(gt=0)] = Field(
+            1.0, description="spread of the scaled points, without unit (van der Merwe 2004)")
+        beta: float = Field(0.0, description="extra weight of the centre point in covariances, without unit; 2 is "
+                                             "right for a Gaussian as alpha tends to 0 (van der Merwe 2004)")
+        kappa: float | None = Field(None, description="second spread parameter, without unit; default max(3 - n, 0) "
+                                                      "for n states (Julier and Uhlmann 1997, kept from negative)")
+        redraw: bool = Field(True, description="draw new points from the predicted moments for the measurement; false "
+                                               "reuses the propagated ones, which do not carry Q")
+
+        @model_validator(mode="after")
+        def _consistent(self) -> UnscentedKalman.Parameters:
+            if self.points == "julier" and (self.alpha, self.beta) != (1.0, 0.0):
+                raise ValueError('points = "julier" has no alpha and beta: leave them out, or use points = "scaled"')
+            return self
+
+    summary = "unscented Kalman filter (scaled or Julier's points)"
+    source = "Julier and Uhlmann, Proc. IEEE 92(3), 2004; van der Merwe, thesis, OHSU 2004"
+
+    def __init__(self, parameters: Any = None) -> None:
+        super().__init__(parameters)
+        self.redraw = self.parameters.redraw
+
+    def weights(self, n: int) -> Weights:
+        p = self.parameters
+        kappa = max(3.0 - n, 0.0) if p.kappa is None else p.kappa
+        spread = p.alpha**2 * (n + kappa)
+        if spread <= 0:
+            raise Infeasible(f"kappa = {kappa:g} leaves {n} states without sigma points: it must be above {-n}")
+        mean = np.full(2 * n + 1, 0.5 / spread)
+        mean[0] = (spread - n) / spread
+        covariance = mean.copy()
+        covariance[0] += 1 - p.alpha**2 + p.beta
+        return mean, covariance, float(np.sqrt(spread))
+
+
+class CubatureKalman(SigmaPointKalman):
+    """Cubature Kalman filter: 2 n points at sqrt(n) standard deviations, equal weights, drawn anew for the update."""
+
+    summary = "cubature Kalman filter (third-degree spherical-radial rule)"
+    source = "Arasaratnam and Haykin, IEEE TAC 54(6), 2009, eqs. (22) to (56)"
+
+    def weights(self, n: int) -> Weights:
+        equal = np.full(2 * n, 0.5 / n)
+        return equal, equal, float(np.sqrt(n))
