@@ -92,7 +92,8 @@ class Csma(Strict):
 
     def reception(self) -> Reception:
         low, high = self.range
-        return Reception(self.p * (1 - self.p) ** (high - 1), self.p * (1 - self.p) ** (low - 1))
+        least, most = self.p * (1 - self.p) ** (high - 1), self.p * (1 - self.p) ** (low - 1)
+        return Reception(least, most, variance=most * (1 - most))  # for whole N it is greatest at the least N
 
 
 class RandomAccess(Strict):

@@ -68,13 +68,15 @@ class Modes:
 class Reception:
     """What is known of the channel: bounds of the reception probability, or each node's probability and sensors.
 
-    p_low <= Prob(received) <= p_high. `nodes[i]` lists the measurement indices of node i, `p[i]` its probability of
+    p_low <= Prob(received) <= p_high; `variance` bounds Prob (1 - Prob) where that is known better than from the
+    interval (p-persistent CSMA). `nodes[i]` lists the measurement indices of node i, `p[i]` its probability of
     being the one that transmits (random access)."""
 
     p_low: float = 1.0
     p_high: float = 1.0
     nodes: tuple[tuple[int, ...], ...] = ()
     p: tuple[float, ...] = ()
+    variance: float | None = None
 
 
 @dataclass(frozen=True)
