@@ -1,6 +1,6 @@
 """Compiled Kalman measurement updates over a batch of runs, each element of each run received or not.
 
-Only runs that received something are touched: they are gathered into tiles that fit the cache, updated, written back."""
+Only runs that received something are touched: gathered into tiles that fit the cache, updated, and written back."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ The filter always holds the sigma points of its present belief, so a step costs 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -30,7 +30,7 @@ class SigmaPointKalman(Estimator):
 
     needs = ("process_covariance", "measurement_covariance")
     claims = ("covariance",)
-    redraw: ClassVar[bool] = True
+    redraw: bool = True
 
     @abstractmethod
     def weights(self, n: int) -> Weights:

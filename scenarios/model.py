@@ -4,10 +4,12 @@ All callables work on arrays whose *last* axis is the runs; extra axes (sigma po
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -158,7 +160,18 @@ def linear_model(
 def product(matrix: Array, x: Array) -> Array:
     """matrix (m, n) times x (n, .., S) as sums over the small index: bit-identical for any number of runs (no BLAS)."""
     out = np.zeros((matrix.shape[0], *x.shape[1:]))
-    for i, row in enumerate(matrix):
-        for j in np.flatnonzero(row):
-            out[i] += row[j] * x[j]
+    columns = math.prod(x.shape[1:])
+    _accumulate(np.ascontiguousarray(matrix, dtype=float), np.ascontiguousarray(x, dtype=float).reshape(-1, columns),
+                out.reshape(-1, columns))
     return out
+
+
+@njit(cache=True)
+def _accumulate(matrix, x, out):
+    """out (m, S) += matrix (m, n) times x (n, S)."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            factor = matrix[i, j]
+            if factor != 0.0:
+                for s in range(x.shape[1]):
+                    out[i, s] += factor * x[j, s]
