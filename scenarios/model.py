@@ -92,7 +92,7 @@ class DesignModel:
     process_covariance(x, u, k, portion): (nx, nx, S or 1), PSD. measurement_covariance(k): (ny, ny, 1), PD.
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     `k` counts the estimator's predictions so far; only time-varying models look at it.
-    `details` carries plant-specific knowledge for estimators written for that plant (keys documented by the setting)."""
+    `details` carries plant-specific knowledge for estimators written for that plant (keys told by the setting)."""
 
     states: tuple[str, ...]
     measurements: tuple[str, ...]
@@ -161,8 +161,9 @@ def product(matrix: Array, x: Array) -> Array:
     """matrix (m, n) times x (n, .., S) as sums over the small index: bit-identical for any number of runs (no BLAS)."""
     out = np.zeros((matrix.shape[0], *x.shape[1:]))
     columns = math.prod(x.shape[1:])
-    _accumulate(np.ascontiguousarray(matrix, dtype=float), np.ascontiguousarray(x, dtype=float).reshape(-1, columns),
-                out.reshape(-1, columns))
+    _accumulate(np.ascontiguousarray(matrix, dtype=float),
+                np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], columns),
+                out.reshape(out.shape[0], columns))
     return out
 
 
