@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
+from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
@@ -105,8 +106,8 @@ def chi_square_interval(runs: int, nx: int, level: float = 1 - ALPHA) -> tuple[f
     runs x mean NEES is chi-square with runs x nx degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, 5.4.2-10).
     Not the interval of a mean over time as well: NEES of one run is correlated in time (see `anees`)."""
     degrees = runs * nx
-    low, high = stats.chi2.ppf([(1 - level) / 2, (1 + level) / 2], degrees) / degrees
-    return float(low), float(high)
+    low, high = (float(stats.chi2.ppf(share, degrees)) / degrees for share in ((1 - level) / 2, (1 + level) / 2))
+    return low, high
 
 
 def anees(nees_per_run: ArrayLike, nx: int, level: float = 1 - ALPHA) -> Interval:
@@ -149,10 +150,15 @@ def wilcoxon(differences: ArrayLike) -> float:
     d = finite(differences)
     if d.size < 2 or not d.any():
         return 1.0
-    size = np.sort(np.abs(d))
-    exact = d.size <= 50 and size[0] > 0 and bool((np.diff(size) > 0).all())
-    result = stats.wilcoxon(d, zero_method="pratt", method="exact" if exact else "asymptotic")
-    return float(result[1])  # pyright: ignore[reportArgumentType]
+    ranks = stats.rankdata(np.abs(d))
+    zeros = int((d == 0).sum())
+    counts = np.unique(ranks[d != 0], return_counts=True)[1]
+    if d.size <= 50 and not zeros and counts.max() == 1:
+        return float(stats.wilcoxon(d, method="exact")[1])  # pyright: ignore[reportArgumentType]
+    n = d.size
+    expected = (n * (n + 1) - zeros * (zeros + 1)) / 4
+    variance = (n * (n + 1) * (2 * n + 1) - zeros * (zeros + 1) * (2 * zeros + 1) - (counts**3 - counts).sum() / 2) / 24
+    return float(2 * ndtr(-abs(ranks[d > 0].sum() - expected) / np.sqrt(variance)))
 
 
 def paired(a: ArrayLike, b: ArrayLike, level: float = 1 - ALPHA) -> Paired:

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 
 from . import statistics as st
 from .summary import metric_columns
-from .wording import change, change_interval, counted, listing, number, percent
+from .wording import (
+    change,
+    change_interval,
+    change_range,
+    counted,
+    listing,
+    number,
+    percent,
+    plus_minus,
+    shown_unit,
+)
 
 Array = NDArray[np.float64]
 
@@ -107,23 +117,37 @@ def cells(rows: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
         yield str(scenario), str(variant), part
 
 
-def broken_promises(part: pd.DataFrame) -> list[str]:
-    """What one estimator claimed in one cell and did not keep, and how its runs failed, in few words."""
-    out: list[str] = []
+@dataclass(frozen=True)
+class Breach:
+    """A promise not kept in one cell. kind: `status` (runs that did not end well), `nees`, `set` or `bound`; words:
+    what a line of a table says; size: how bad it is (share of runs, ANEES, measured over certified)."""
+
+    kind: Literal["status", "nees", "set", "bound"]
+    words: str
+    size: float
+
+
+def broken_promises(part: pd.DataFrame) -> list[Breach]:
+    """What one estimator claimed in one cell and did not keep, and how its runs failed."""
+    out: list[Breach] = []
     runs = len(part)
     for status, count in part.loc[part["status"] != "ok", "status"].value_counts().items():
-        out.append(str(status) if count == runs else f"{status} in {count} of {runs} runs")
+        words = str(status) if count == runs else f"{status} in {count} of {runs} runs"
+        out.append(Breach("status", words, int(count) / runs))
     states = nees_states(part)
     if states:
         nees = part["nees:state:1"].to_numpy(dtype=float)
         if st.consistency(nees, states) == "too sure":
-            out.append(f"too sure (ANEES {number(st.anees(nees, states).value)})")
+            value = st.anees(nees, states).value
+            out.append(Breach("nees", f"too sure (ANEES {number(value)})", value))
     inside = column_values(part, "coverage:ellipsoid:1")
-    if inside.size and (inside < 1).any():
-        out.append(f"leaves its set in {int((inside < 1).sum())} of {inside.size} runs")
+    left = int((inside < 1).sum())
+    if left:
+        out.append(Breach("set", f"leaves its set in {left} of {inside.size} runs", left / inside.size))
     bound = bound_check(part)
     if bound and bound.broken:
-        out.append(f"exceeds its bound ({number(bound.measured.value)} > {number(bound.certified)})")
+        out.append(Breach("bound", f"exceeds its bound ({number(bound.measured.value)} > {number(bound.certified)})",
+                          bound.measured.value / bound.certified))
     return out
 
 
@@ -168,18 +192,23 @@ def short_verdicts(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> dict[tupl
         judged = {quantity: judge(by_run(part, column), metric, oracles)
                   for column, metric, quantity, _ in judged_columns(part, manifest["scenarios"][scenario])}
         for label, mine in part.groupby("estimator", sort=False):
-            words = {quantity: _short(found[str(label)]) for quantity, found in judged.items()}
-            same = set(words.values())
-            pieces = ([same.pop()] if len(same) == 1 else [f"{quantity} {word}" for quantity, word in words.items()])
-            out[scenario, variant, str(label)] = "; ".join(filter(None, [", ".join(filter(None, pieces)),
-                                                                         *broken_promises(mine)]))
+            verdict = _short({quantity: found[str(label)] for quantity, found in judged.items()})
+            out[scenario, variant, str(label)] = "; ".join(
+                filter(None, [verdict, *(breach.words for breach in broken_promises(mine))]))
     return out
 
 
-def _short(found: Judged) -> str:
-    if found.verdict == "worse" and found.against:
-        return change(found.against)
-    return {"none": "", "incomplete": "too few runs"}.get(found.verdict, found.verdict)
+def _short(found: Mapping[str, Judged]) -> str:
+    """One estimator's verdicts over the quantities: said once where they agree, as a range where all are worse."""
+    pairs = [each.against for each in found.values() if each.verdict == "worse" and each.against]
+    if len(pairs) == len(found) and pairs:
+        return change_range(pairs)
+    words = {quantity: change(each.against) if each.verdict == "worse" and each.against
+             else {"none": "", "incomplete": "too few runs"}.get(each.verdict, each.verdict)
+             for quantity, each in found.items()}
+    if len(set(words.values())) == 1:
+        return next(iter(words.values()))
+    return ", ".join(f"{quantity} {word}" for quantity, word in words.items() if word)
 
 
 @dataclass(frozen=True)
@@ -253,71 +282,91 @@ def contest_words(results: list[Contest]) -> str:
 
 
 def paragraph(rows: pd.DataFrame, manifest: Mapping[str, Any], scenario: str) -> list[str]:
-    """A scenario in plain sentences: the default variant's best per quantity, the other variants, broken promises."""
+    """A scenario in plain sentences: who is best in the default variant and by how much, in how many of the others,
+    who is an oracle, who broke a promise, which runs failed."""
     mine = rows[rows["scenario"] == scenario]
     about = manifest["scenarios"][scenario]
     sentences: list[str] = []
-    tops: dict[str, list[list[str]]] = {}
-    broken: dict[str, list[tuple[str, list[str]]]] = {}
-    variants: list[str] = []
+    tops: dict[str, list[set[str]]] = {}
+    breaches: dict[str, dict[str, list[Breach]]] = {}
+    oracles: set[str] = set()
+    total = 0
     for _, variant, part in cells(mine):
-        oracles = oracle_labels(manifest, scenario, variant)
-        alike: dict[str, list[str]] = {}
-        for column, metric, quantity, unit in judged_columns(part, about):
-            found = judge(by_run(part, column), metric, oracles)
-            tops.setdefault(quantity, []).append([j.estimator for j in found.values() if j.verdict in ("best", "tie")])
-            if not variants:
-                alike.setdefault(_ranking(found), []).append(quantity)
-        for ranking, quantities in alike.items():
-            sentences.append(f"Variant {variant}, {listing(quantities)}: {ranking}.")
+        known = oracle_labels(manifest, scenario, variant)
+        judged = {quantity: (unit, metric, judge(by_run(part, column), metric, known))
+                  for column, metric, quantity, unit in judged_columns(part, about)}
+        for quantity, (_, _, found) in judged.items():
+            tops.setdefault(quantity, []).append({j.estimator for j in found.values() if j.verdict in ("best", "tie")})
+        if not total:
+            sentences += _default_variant(variant, judged, about)
         for label, estimator_rows in part.groupby("estimator", sort=False):
-            words = broken_promises(estimator_rows)
-            if words:
-                broken.setdefault(str(label), []).append((variant, words))
-        variants.append(variant)
-    if len(variants) > 1:
-        sentences += _over_variants(tops, len(variants))
-    for label, where in broken.items():
-        first_variant, words = where[0]
-        rest = f", and something of the kind in {counted(len(where) - 1, 'other variant')}" if len(where) > 1 else ""
-        sentences.append(f"{label} breaks a promise in {first_variant}: {listing(words)}{rest}.")
-    if not broken:
+            for breach in broken_promises(estimator_rows):
+                breaches.setdefault(breach.kind, {}).setdefault(str(label), []).append(breach)
+        oracles |= known
+        total += 1
+    if total > 1:
+        sentences += _over_variants(tops)
+    if oracles:
+        sentences.append(f"{listing(sorted(oracles))}: not ranked, since told what the others must estimate.")
+    for kind, template in _BREACHES.items():
+        for label, found in breaches.get(kind, {}).items():
+            where = "" if total == 1 else f" in {'all' if len(found) == total else f'{len(found)} of'} {total} variants"
+            worst = max(breach.size for breach in found)
+            size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
+            sentences.append(template.format(label=label, where=where, size=size))
+    if not breaches:
         sentences.append("Nobody broke a promise, and no run failed.")
     return sentences
 
 
-def _ranking(found: Mapping[str, Judged]) -> str:
-    best = next((j for j in found.values() if j.verdict == "best"), None)
-    if best is None:
-        return "no estimator gave a value"
-    ties = [j.estimator for j in found.values() if j.verdict == "tie"]
-    worse = sorted((j for j in found.values() if j.verdict == "worse" and j.against),
-                   key=lambda j: j.against.relative if j.against else 0.0)
-    text = f"{best.estimator} is best" + (f", {listing(ties)} {'tie' if len(ties) > 1 else 'ties'} with it" if ties
-                                          else "")
-    if worse and worse[0].against and worse[-1].against:
-        text += f"; the next, {worse[0].estimator}, is {_worse_by(worse[0].against)}"
-        if len(worse) > 1:
-            text += f", the last, {worse[-1].estimator}, {_worse_by(worse[-1].against)}"
-    return text
+_BREACHES = {
+    "nees": "{label} is too sure of itself{where} (ANEES up to {size}; 1 is right).",
+    "set": "{label} promises a set that always holds the truth, and leaves it{where} (in up to {size} of the runs).",
+    "bound": "{label} exceeds its certified bound{where} (by up to {size} times).",
+    "status": "{label} has runs that diverged, failed or could not be designed{where} (up to {size} of the runs).",
+}
 
 
-def _worse_by(found: st.Paired) -> str:
-    words = change(found)
-    return f"off by {words} as much" if words.endswith("times") else f"{words.lstrip('+')} worse"
-
-
-def _over_variants(tops: Mapping[str, list[list[str]]], total: int) -> list[str]:
+def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str, Judged]]],
+                     about: Mapping[str, Any]) -> list[str]:
+    """`Variant white: a is best (position 0.11 m), b ties with it; the next, c, is 5 to 6 % worse, ..`"""
+    groups: dict[tuple[Any, ...], list[tuple[str, list[Judged]]]] = {}
+    for quantity, (unit, metric, found) in judged.items():
+        best = next((j for j in found.values() if j.verdict == "best"), None)
+        if best is None:
+            continue
+        ties = tuple(j.estimator for j in found.values() if j.verdict == "tie")
+        worse = sorted((j for j in found.values() if j.verdict == "worse" and j.against),
+                       key=lambda j: j.against.relative if j.against else 0.0)
+        ends = worse[:1] + worse[1:][-1:]
+        shown, factor = shown_unit(about, metric, quantity, unit)
+        value = f"{quantity} {plus_minus(best.value, factor)} {shown}".rstrip()
+        groups.setdefault((best.estimator, ties, tuple(j.estimator for j in ends)), []).append((value, ends))
     out: list[str] = []
+    for (best_label, ties, ends), members in groups.items():
+        text = f"Variant {variant}: {best_label} is best ({', '.join(value for value, _ in members)})"
+        if ties:
+            text += f", {listing(ties)} {'tie' if len(ties) > 1 else 'ties'} with it"
+        for place, (label, opening) in enumerate(zip(ends, ("; the next", ", the last"), strict=False)):
+            pairs = [pair for _, judgements in members if (pair := judgements[place].against)]
+            text += f"{opening}, {label}, has {_times(change_range(pairs))} error"
+        out.append(text + ".")
+    return out or [f"Variant {variant}: no estimator gave a value."]
+
+
+def _times(words: str) -> str:
+    return f"{words} the" if words.endswith("times") else words.replace("+", "") + " more"
+
+
+def _over_variants(tops: Mapping[str, list[set[str]]]) -> list[str]:
+    """In how many variants the most frequent winners are best or tied, quantities with the same answer together."""
+    answers: dict[tuple[tuple[str, ...], int, int], list[str]] = {}
     for quantity, lists in tops.items():
-        count: dict[str, int] = {}
-        for names in lists:
-            for name in names:
-                count[name] = count.get(name, 0) + 1
-        if count:
-            most = max(count.values())
-            names = [name for name, times in count.items() if times == most]
-            verb = "are" if len(names) > 1 else "is"
-            out.append(f"Over all {total} variants, {listing(names)} {verb} best or tied most often for {quantity}: in "
-                       f"{most} of {len(lists)}.")
-    return out
+        names = [name for winners in lists for name in winners]
+        if names:
+            most = max(names.count(name) for name in names)
+            leaders = tuple(sorted({name for name in names if names.count(name) == most}))
+            answers.setdefault((leaders, most, len(lists)), []).append(quantity)
+    return [f"{listing(leaders)} {'are' if len(leaders) > 1 else 'is'} best or tied for {listing(quantities)} in "
+            f"{'all' if most == total else f'{most} of'} {total} variants, more often than any other."
+            for (leaders, most, total), quantities in answers.items()]

@@ -53,6 +53,16 @@ def change(found: Paired) -> str:
     return _change(found.relative)
 
 
+def change_range(found: Sequence[Paired]) -> str:
+    """`change` of several comparisons: once where they look the same, else `+39 to +41 %`."""
+    ends = [_change(relative) for relative in (min(f.relative for f in found), max(f.relative for f in found))]
+    if ends[0] == ends[1]:
+        return ends[0]
+    units = {" %", " times"}
+    common = next((unit for unit in units if all(end.endswith(unit) for end in ends)), "")
+    return f"{ends[0].removesuffix(common) if common else ends[0]} to {ends[1]}"
+
+
 def change_interval(found: Paired) -> str:
     """`+12 % [10, 14]`, the interval of `paired` relative to the other's mean."""
     if not found.difference or not np.isfinite(found.relative):

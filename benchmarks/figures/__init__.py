@@ -1,3 +1,3 @@
-"""Figures of a results folder: drawn once on a small canvas, written as SVG for the report and as SVG, PDF or PNG files.
+"""Figures of a results folder, drawn once on a small canvas: SVG for the report; SVG, PDF and PNG as files.
 
 One module per family of figures; `catalogue.py` lists them all."""

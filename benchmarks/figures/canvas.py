@@ -4,7 +4,6 @@ Every figure is drawn on it exactly once, so that what the report shows is what 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path

@@ -1,0 +1,54 @@
+"""`railstate report` and `railstate plot`: the page and the figures of a results folder, from its files alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...scenarios.errors import InputError
+
+FORMATS = ("svg", "pdf", "png")
+
+
+def report(
+    folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
+) -> None:
+    """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
+    from ..report import write_report
+
+    path = write_report(folder)
+    print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+def plot(
+    folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
+    figure: Annotated[str, typer.Option(help="Only this figure; an unknown name lists them all.")] = "",
+    format_: Annotated[str, typer.Option("--format", help="svg, pdf or png.")] = "pdf",
+    out: Annotated[str, typer.Option(help="Where to write (default: DIR/figures).")] = "",
+) -> None:
+    """Write the report's figures as files at the width of a paper's column (3.5 inches)."""
+    from ..figures.catalogue import FIGURES, drawn
+    from ..figures.data import load_results
+
+    if format_ not in FORMATS:
+        raise InputError(f"--format {format_}: unknown; allowed: {', '.join(FORMATS)}")
+    names = [item.name for item in FIGURES]
+    if figure and figure not in names:
+        raise InputError(f"--figure {figure}: unknown; allowed: {', '.join(names)}")
+    target = Path(out) if out else Path(folder) / "figures"
+    results = load_results(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        written = 0
+        for item, scenario, variant, canvas in drawn(results, figure or None):
+            stem = "~".join(part for part in (item.name, scenario, variant) if part)
+            canvas.save(target / f"{stem}.{format_}")
+            written += 1
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error}") from None
+    if not written:
+        raise InputError(f"{folder}: has no data for this figure; settings' own figures and the example run need "
+                         "trajectories (railstate run --keep 1)")
+    print(f"{written} figures in {target}")

@@ -1,0 +1,72 @@
+"""The list of all figures: name, title, what a reader sees in it, and which settings have it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from .canvas import Canvas
+from .cost import accuracy_against_latency
+from .data import Cell, Results
+from .errors import error_over_time, errors_per_run
+from .example import example_run
+from .ranks import critical_difference
+from .trust import certified_against_measured, nees_over_time
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a cell (`draw`) or of a whole scenario (`draw_all`). Either returns None where there is no data.
+
+    kinds: plant kinds that have it (empty: any)."""
+
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[Cell], Canvas | None] | None = None
+    draw_all: Callable[[Sequence[Cell]], Canvas | None] | None = None
+    kinds: tuple[str, ...] = ()
+
+
+FIGURES: tuple[Figure, ...] = (
+    Figure("error-over-time", "Error over time",
+           "Root mean square error over all runs at each instant; the band is its 95 % interval.", error_over_time),
+    Figure("errors-per-run", "Error per run",
+           "One value per run: box from the first to the third quartile, bar at the median, line from 5 % to 95 %, "
+           "dots at the extremes.", errors_per_run),
+    Figure("accuracy-latency", "Accuracy against latency",
+           "Lower left is better. Marker at the median time of one step of one run, line to its 99th percentile.",
+           accuracy_against_latency),
+    Figure("nees", "NEES over time",
+           "1 is consistent, above is too sure, below too cautious. A consistent estimator stays in the grey band at "
+           "95 % of the steps.", nees_over_time),
+    Figure("certified", "Certified bound against measured mean square",
+           "A promise is kept where the measured value lies left of its bar.", certified_against_measured),
+    Figure("example", "An example run",
+           "The first kept run: the truth of each quantity, and below it the error of every estimator.", example_run),
+    Figure("critical-difference", "Ranks over all variants",
+           "Mean rank over all runs of all variants. Bars on the right join estimators that Wilcoxon's test with "
+           "Holm's correction does not tell apart, or that differ by less than 1 %.", draw_all=critical_difference),
+)
+
+
+def drawn(results: Results, name: str | None = None) -> Iterator[tuple[Figure, str, str, Canvas]]:
+    """(figure, scenario, variant or "", canvas) of everything that has data, or of one figure by name."""
+    for figure in FIGURES:
+        if name is None or figure.name == name:
+            for scenario, cells in results.scenarios.items():
+                yield from ((figure, scenario, variant, canvas) for variant, canvas in of_scenario(figure, cells))
+
+
+def of_scenario(figure: Figure, cells: Sequence[Cell]) -> Iterator[tuple[str, Canvas]]:
+    """(variant, canvas) of one figure in a scenario; variant "" for a figure of the whole scenario."""
+    if figure.kinds and cells[0].kind not in figure.kinds:
+        return
+    if figure.draw_all:
+        canvas = figure.draw_all(cells)
+        if canvas:
+            yield "", canvas
+    for cell in cells if figure.draw else ():
+        canvas = figure.draw(cell) if figure.draw else None
+        if canvas:
+            yield cell.variant, canvas

@@ -1,0 +1,42 @@
+"""Accuracy against latency: what a smaller error costs in computing time per step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..statistics import mean_se, pooled_rmse
+from .axes import Panel, legend, legend_height, spanning
+from .canvas import WIDTH, Canvas
+from .data import Cell
+from .errors import LEFT, RIGHT, bracket
+
+
+def accuracy_against_latency(cell: Cell) -> Canvas | None:
+    """Error of the first judged quantities (at most two) over the latency of one step: marker at the median, line to
+    the 99th percentile."""
+    latency = {label: (values["latency_us_median"], values["latency_us_p99"]) for label, values in cell.timing.items()
+               if np.isfinite(values["latency_us_median"])}
+    columns = cell.judged[:2]
+    labels = [label for label in cell.labels if label in latency]
+    if not columns or not labels:
+        return None
+    each, room = 96.0, legend_height(labels, WIDTH - 8)
+    canvas = Canvas(len(columns) * (each + 18) + 24 + room, f"Accuracy against latency, {cell.key}")
+    x = spanning(*(latency[label] for label in labels), log=True, margin=0.08)
+    for row, (column, metric, quantity, raw) in enumerate(columns):
+        unit, factor = cell.unit(metric, quantity, raw)
+        summary = pooled_rmse if metric == "rmse" else mean_se
+        errors = {label: summary(values)[0] * factor for label, values in cell.values(column).items()}
+        last = row == len(columns) - 1
+        panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x,
+                      spanning(list(errors.values()), zero=True, margin=0.1), x_ticks=last,
+                      title=bracket(f"{metric.upper()} of {quantity}", unit),
+                      x_label="latency of a step, median to 99 % [µs]" if last else "")
+        for label in labels:
+            if np.isfinite(errors[label]):
+                style = cell.styles[label]
+                ends = panel.points(latency[label], [errors[label]] * 2)
+                canvas.path(ends, stroke=style.colour, width=0.8)
+                panel.mark(latency[label][0], errors[label], style, title=label)
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels], markers=True)
+    return canvas

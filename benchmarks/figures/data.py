@@ -1,0 +1,198 @@
+"""A results folder as the figures and the report want it: cells with their rows, curves, kept trajectories, styles.
+
+Read once; nothing here computes an estimate or a statistic."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ...scenarios.errors import InputError
+from ..store import Store
+from ..verdicts import Column, Judged, by_run, judge, judged_columns, oracle_labels
+from ..wording import shown_unit
+from .axes import DASHES, MARKERS, Style
+from .canvas import COLOURS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Sums over the runs at each step: time (K,), number of runs, sum of squares, of their squares, of errors."""
+
+    time: Array
+    active: Array
+    squared: Array
+    fourth: Array
+    error: Array
+
+
+@dataclass(frozen=True)
+class Track:
+    """One kept trajectory of one named quantity: time (K,), truth, estimate, claimed standard deviation."""
+
+    time: Array
+    truth: Array
+    estimate: Array
+    sd: Array
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One variant of one scenario. curves: by (estimator, quantity). kept: by (estimator, name) of the first kept run,
+    estimator "" for the truth's own. kind: the plant's. about: the scenario's part of the manifest."""
+
+    scenario: str
+    variant: str
+    kind: str
+    about: Mapping[str, Any]
+    table: Mapping[str, Any]
+    runs: int
+    rows: pd.DataFrame
+    curves: Mapping[tuple[str, str], Curve]
+    kept: Mapping[tuple[str, str], Track]
+    timing: Mapping[str, Mapping[str, float]]
+    styles: Mapping[str, Style]
+    oracles: frozenset[str]
+
+    @property
+    def key(self) -> str:
+        return f"{self.scenario}/{self.variant}"
+
+    @property
+    def labels(self) -> list[str]:
+        return [str(label) for label in self.rows["estimator"].unique()]
+
+    @property
+    def period(self) -> float:
+        return float(self.about["variants"][self.variant]["period"])
+
+    @cached_property
+    def judged(self) -> list[Column]:
+        """The error columns that are judged, one per quantity."""
+        return judged_columns(self.rows, self.about)
+
+    @cached_property
+    def judgements(self) -> dict[str, dict[str, Judged]]:
+        """Per judged quantity, each estimator judged against the best."""
+        return {quantity: judge(self.values(column), metric, self.oracles)
+                for column, metric, quantity, _ in self.judged}
+
+    def values(self, column: str) -> dict[str, Array]:
+        """A column of the rows per estimator, aligned by run."""
+        return by_run(self.rows, column)
+
+    def unit(self, metric: str, quantity: str, unit: str) -> tuple[str, float]:
+        """Shown unit and factor."""
+        return shown_unit(self.about, metric, quantity, unit)
+
+    def quantity_units(self) -> dict[str, tuple[str, float]]:
+        """Shown unit and factor of every scored quantity's error."""
+        found: dict[str, tuple[str, float]] = {}
+        for name in self.rows.columns:
+            metric, _, rest = name.partition(":")
+            quantity, _, unit = rest.partition(":")
+            if metric == "rmse" and quantity in self.about["quantities"]:
+                found[quantity] = self.unit("rmse", quantity, unit)
+        return found
+
+
+@dataclass(frozen=True)
+class Results:
+    """A results folder: manifest, all rows, and the cells of each scenario (the first is its default variant)."""
+
+    folder: Path
+    manifest: Mapping[str, Any]
+    rows: pd.DataFrame
+    scenarios: Mapping[str, Sequence[Cell]]
+    styles: Mapping[str, Style]
+
+
+def load_results(folder: str | Path) -> Results:
+    """Read a results folder. Raises InputError where it is none, is damaged or holds no rows."""
+    store = Store(folder)
+    manifest, rows = store.manifest(), store.rows()
+    curves = _curves(store.curves())
+    kept = _kept(store.trajectories())
+    timing = _timing(store.folder / "timing.csv")
+    styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
+    scenarios: dict[str, list[Cell]] = {}
+    for (scenario, variant), part in rows.groupby(["scenario", "variant"], sort=False):
+        key = (str(scenario), str(variant))
+        about = manifest["scenarios"][key[0]]
+        table = manifest["replay"]["cells"]["/".join(key)]["table"]
+        scenarios.setdefault(key[0], []).append(Cell(
+            *key, about["kind"], about, table, int(manifest["configuration"]["runs"]),
+            part.dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
+            timing.get(key, {}), styles, frozenset(oracle_labels(manifest, *key))))
+    return Results(store.folder, manifest, rows, scenarios, styles)
+
+
+def assign_styles(groups: Sequence[Sequence[str]]) -> dict[str, Style]:
+    """One style per label for the whole run. groups: the labels that appear together.
+
+    Each label takes the colour used least among those it appears with, and the first dash and marker that make it
+    unique, so that up to eight estimators of a table differ in colour and the rest in dash and marker as well."""
+    styles: dict[str, Style] = {}
+    companions: dict[str, set[str]] = {}
+    for group in groups:
+        for label in group:
+            companions.setdefault(label, set()).update(group)
+    taken: set[tuple[str, int]] = set()
+    for label in companions:
+        near = [styles[other].colour for other in companions[label] if other in styles]
+        everywhere = [style.colour for style in styles.values()]
+        colours = sorted((f"c{i}" for i in range(COLOURS)),
+                         key=lambda c: (near.count(c), everywhere.count(c), c))
+        level = 0
+        while (colours[0], level) in taken:
+            level += 1
+        taken.add((colours[0], level))
+        styles[label] = Style(colours[0], DASHES[level % len(DASHES)], MARKERS[level % len(MARKERS)])
+    return styles
+
+
+def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], Curve]]:
+    out: dict[tuple[str, str], dict[tuple[str, str], Curve]] = {}
+    for (scenario, variant, label, quantity), part in frame.groupby(
+            ["scenario", "variant", "estimator", "quantity"], sort=False):
+        part = part.sort_values("step")
+        out.setdefault((str(scenario), str(variant)), {})[str(label), str(quantity)] = Curve(
+            *(part[name].to_numpy(dtype=float) for name in ("time", "active", "squared", "fourth", "error")))
+    return out
+
+
+def _kept(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[tuple[str, str], Track]]:
+    out: dict[tuple[str, str], dict[tuple[str, str], Track]] = {}
+    if frame is None:
+        return out
+    first = frame.loc[frame["run"] == frame["run"].min()]
+    for (scenario, variant, label, name), part in first.groupby(["scenario", "variant", "estimator", "name"],
+                                                                 sort=False):
+        part = part.sort_values("step")
+        out.setdefault((str(scenario), str(variant)), {})[str(label), str(name)] = Track(
+            *(part[column].to_numpy(dtype=float) for column in ("time", "truth", "estimate", "sd")))
+    return out
+
+
+def _timing(path: Path) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
+    if not path.is_file():
+        return {}
+    try:
+        frame = pd.read_csv(path)
+        keys = frame[["scenario", "variant", "estimator"]].astype(str).to_numpy().tolist()
+        numbers = frame.drop(columns=["scenario", "variant", "estimator"]).astype(float)
+    except (ValueError, KeyError, OSError) as error:
+        raise InputError(f"{path}: damaged: {error}") from None
+    out: dict[tuple[str, str], dict[str, dict[str, float]]] = {}
+    for (scenario, variant, label), values in zip(keys, numbers.to_dict("records"), strict=True):
+        out.setdefault((scenario, variant), {})[label] = {str(name): value for name, value in values.items()}
+    return out

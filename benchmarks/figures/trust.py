@@ -1,0 +1,76 @@
+"""Figures of what estimators claim: NEES over time, certified bounds against measured mean squares."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from ..statistics import chi_square_interval
+from ..verdicts import bound_check, nees_states
+from ..wording import counted
+from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
+from .canvas import WIDTH, Canvas
+from .data import Cell
+from .errors import BINS, LEFT, RIGHT, label_room
+
+
+def nees_over_time(cell: Cell) -> Canvas | None:
+    """NEES averaged over the runs at single steps, divided by the number of states, and the chi-square interval."""
+    states = {str(label): nees_states(part) for label, part in cell.rows.groupby("estimator", sort=False)}
+    labels = [label for label, n in states.items() if n and (label, "nees") in cell.curves]
+    if not labels:
+        return None
+    usual = Counter(states[label] for label in labels).most_common(1)[0][0]
+    lines = {}
+    for label in labels:
+        curve = cell.curves[label, "nees"]
+        use = np.flatnonzero(curve.active >= max(1.0, 0.1 * float(curve.active.max(initial=0.0))))
+        use = use[np.unique(np.linspace(0, len(use) - 1, min(BINS, len(use))).astype(int))] if len(use) else use
+        lines[label] = (curve.time[use], curve.squared[use] / curve.active[use] / states[label], curve.active[use])
+    time, _, active = max(lines.values(), key=lambda line: len(line[0]))
+    if not len(time):
+        return None
+    limits = np.array([chi_square_interval(round(n), usual) for n in active])
+    room = legend_height(labels, WIDTH - 8)
+    canvas = Canvas(166 + room, f"NEES over time, {cell.key}")
+    y = spanning(*(np.maximum(line[1], 1e-6) for line in lines.values()), limits, log=True)
+    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
+                  title="NEES / states, mean over the runs", x_label="time [s]")
+    panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.25)
+    panel.level(1.0, f"1 and 95 % interval ({counted(int(active.max()), 'run')}, {counted(usual, 'state')})",
+                colour="ink")
+    for label, (at, value, _) in lines.items():
+        panel.line(at, np.maximum(value, 1e-6), cell.styles[label], width=0.8, title=label)
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    return canvas
+
+
+def certified_against_measured(cell: Cell) -> Canvas | None:
+    """Mean-square bounds that estimators certify (bars) beside the mean squares measured, with 95 % intervals."""
+    found = {str(label): bound_check(part) for label, part in cell.rows.groupby("estimator", sort=False)}
+    checks = {label: bound for label, bound in found.items() if bound}
+    if not checks:
+        return None
+    left, step = label_room(list(checks)), 16.0
+    height = step * len(checks) + 4
+    canvas = Canvas(height + 54, f"Certified bounds against measured mean squares, {cell.key}")
+    values = [v for b in checks.values() for v in (b.certified, b.measured.value)]
+    panel = Panel(canvas, left, 14, WIDTH - left - RIGHT - 4, height, spanning(values, log=True, margin=0.1),
+                  Scale(0, 1), y_ticks=False, x_label="mean square of the performance output")
+    for place, (label, bound) in enumerate(checks.items()):
+        y, style = 16 + step * (place + 0.5), cell.styles[label]
+        low, value, high, limit = (panel.points([v], [0])[0, 0] for v in
+                                   (bound.measured.low, bound.measured.value, bound.measured.high, bound.certified))
+        canvas.path([(value, y), (limit, y)], stroke=style.colour, width=0.6, dash=(1.5, 1.5))
+        canvas.path([(limit, y - 6), (limit, y + 6)], stroke=style.colour, width=2.2, title=f"{label}: certified")
+        canvas.path([(low, y), (high, y)], stroke=style.colour, width=2.0)
+        draw_marker(canvas, value, y, Style(style.colour, marker="diamond"), 2.0, f"{label}: measured")
+        canvas.text(left - 4, y + 2.8, label, anchor="end")
+    legend_at = canvas.height - 6
+    draw_marker(canvas, left + 4, legend_at - 2.6, Style("muted", marker="diamond"), 2.0)
+    canvas.text(left + 12, legend_at, "measured", colour="muted")
+    canvas.path([(left + 62, legend_at - 7), (left + 62, legend_at + 1)], stroke="muted", width=2.2)
+    canvas.text(left + 67, legend_at, "certified", colour="muted")
+    return canvas
+
