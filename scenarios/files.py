@@ -134,7 +134,7 @@ def describe(error: ValidationError, prefix: str = "") -> list[str]:
         message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
         message = message.removeprefix("Value error, ")
         shown = "" if item["type"] == "missing" or isinstance(got, dict) else f" (got {got!r})"
-        lines.append(f"{path}: {message}{shown}")
+        lines.append(f"{path}: {message}{shown}" if path else f"{message}{shown}")
     return lines
 
 
