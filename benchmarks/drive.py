@@ -79,7 +79,9 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
         driven += 1
     scored = scorer.finish(estimator.status, estimator.reason)
     bad = scored.status != 0
-    outcomes = {key: np.where(bad, np.nan, value) for key, value in setting.outcomes(world, scored.metrics).items()}
+    outcomes = dict(setting.outcomes(world, scored.metrics))
+    outcomes.update({(name, "work", "1"): count / max(driven, 1) for name, count in estimator.counters().items()})
+    outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}
     return Driven(scored, outcomes, seconds, driven, world)
 
 

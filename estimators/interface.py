@@ -38,7 +38,8 @@ class Estimate:
     """What an estimator claims at this moment; parts it does not claim are None. S runs, nx states.
 
     mean (nx, S). parameter (np, S): estimates of the unknown parameters that stand behind the state in the truth
-    vector. covariance (nx, nx, S), or (nx, nx, 1) where all runs share it. ellipsoid Pi (nx, nx, S or 1): the claim
+    vector. covariance (nx, nx, S), or (nx, nx, 1) where all runs share it, or the leading block of the states that
+    are claimed (an exactly known one has none). ellipsoid Pi (nx, nx, S or 1): the claim
     e' Pi^-1 e <= 1. bound (S or 1,): the claim E |M e|^2 <= bound, with M the design model's `performance`.
     diversity (S,): distinct parameter values among the particles, for figures."""
 
@@ -119,6 +120,10 @@ class Estimator(ABC):
     @abstractmethod
     def estimate(self) -> Estimate:
         """The present estimate. The arrays may be reused by later steps: callers copy what they keep."""
+
+    def counters(self) -> dict[str, Array]:
+        """Work done so far where it says more than seconds: {"kalman-updates": (S,)}. Reported per step."""
+        return {}
 
 
 def flag(estimator: Estimator, failed: Mask, status: Status, reason: str) -> None:
