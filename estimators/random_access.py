@@ -14,7 +14,7 @@ from ..scenarios.errors import Unsupported
 from ..scenarios.model import DesignModel, Linear, Portion, Reception, product
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
-from .kernels import congruence
+from .kalman import Kalman
 from .random_access_bounds import CovarianceBounds
 
 Array = NDArray[np.float64]
@@ -44,34 +44,9 @@ def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -
     return tuple(gains), (updated + updated.T) / 2
 
 
-class _Protocol(Estimator):
-    """What both filters share: the model they need and the motion of the mean."""
-
-    needs = ("linear", "reception")
-    claims = ("covariance",)
-    linear: Linear
-    reception: Reception
-
-    @classmethod
-    def require(cls, model: DesignModel) -> None:
-        super().require(model)
-        if model.reception is None or not model.reception.nodes:
-            raise Unsupported(f"{cls.__name__} needs a random access channel: channel.kind = \"random-access\"")
-
-    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
-        super().start(model, runs, random)
-        assert model.linear is not None and model.reception is not None
-        self.linear, self.reception, self.k = model.linear, model.reception, 0
-        self.mean = model.initial_mean.copy()
-
-    def _move_mean(self, u: Array, portion: Portion) -> None:
-        if np.any(np.asarray(portion) != 1.0):
-            raise Unsupported(f"{type(self).__name__} predicts whole sampling periods only, not {portion} of one")
-        self.mean = self.model.transition(self.mean, u, self.k, 1.0)
-
-    def _heard(self, received: Mask, node: tuple[int, ...]) -> Mask:
-        """(S,): runs in which all of a node's sensors arrived."""
-        return np.logical_and.reduce(received[list(node)])
+def _require_nodes(estimator: type[Estimator], model: DesignModel) -> None:
+    if model.reception is None or not model.reception.nodes:
+        raise Unsupported(f"{estimator.__name__} needs a random access channel: channel.kind = \"random-access\"")
 
 
 class RandomAccessParameters(Parameters):
@@ -90,7 +65,7 @@ class RandomAccessParameters(Parameters):
         return self
 
 
-class RandomAccess(_Protocol):
+class RandomAccess(Estimator):
     """The recursive filter of Theorem 1: gain (12) and covariance (11) are expectations over the protocol.
 
     They depend on neither data nor the nodes heard, so all runs share them. The claim E e e' = P holds over runs, not
@@ -99,6 +74,13 @@ class RandomAccess(_Protocol):
     Parameters = RandomAccessParameters
     summary = "recursive filter under the random access protocol, covariance averaged over it"
     source = "Zou, Wang, Han, Zhou: Recursive Filtering for Time-Varying Systems with Random Access Protocol, Theorem 1"
+    needs = ("linear", "reception")
+    claims = ("covariance",)
+
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        _require_nodes(cls, model)
 
     def design(self, model: DesignModel) -> dict[str, Any]:
         """The first gains, the range of P's eigenvalues over `horizon` steps, and the bounds of Theorems 2 to 4."""
@@ -137,10 +119,15 @@ class RandomAccess(_Protocol):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        self.P = model.initial_covariance[:, :, 0].copy()
+        assert model.linear is not None and model.reception is not None
+        self.linear, self.reception, self.k = model.linear, model.reception, 0
+        self.mean = model.initial_mean
+        self.P = model.initial_covariance[:, :, 0]
 
     def predict(self, u: Array, portion: Portion) -> None:
-        self._move_mean(u, portion)
+        if np.any(np.asarray(portion) != 1.0):
+            raise Unsupported(f"RandomAccess predicts whole sampling periods only, not {portion} of one")
+        self.mean = self.model.transition(self.mean, u, self.k, 1.0)
         self.P = predicted_covariance(self.linear, self.P, self.k)
         self.k += 1
 
@@ -151,7 +138,7 @@ class RandomAccess(_Protocol):
         gains, self.P = updated_covariance(self.linear, self.reception, self.P, self.k)
         expected = product(self.linear.C(self.k), self.mean)
         for node, K in zip(self.reception.nodes, gains, strict=True):
-            heard = self._heard(received, node)
+            heard = np.logical_and.reduce(received[list(node)])
             innovation = np.stack([np.where(heard, y[i] - expected[i], 0.0) for i in node])
             self.mean = self.mean + product(K, innovation)
 
@@ -159,7 +146,7 @@ class RandomAccess(_Protocol):
         return Estimate(self.mean, covariance=self.P[:, :, None])
 
 
-class ConditionalRandomAccess(_Protocol):
+class ConditionalRandomAccess(Kalman):
     """The conditional filter of Remark 4: a Kalman filter with the rows of the node heard, the optimum of the problem.
 
     Its covariance depends on the nodes heard so far, so each run has its own (nx, nx, S)."""
@@ -167,34 +154,10 @@ class ConditionalRandomAccess(_Protocol):
     summary = "Kalman filter given the node that was heard: the optimum under random access"
     source = "Zou, Wang, Han, Zhou: Recursive Filtering for Time-Varying Systems with Random Access Protocol, Remark 4"
 
-    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
-        super().start(model, runs, random)
-        self.P = np.repeat(model.initial_covariance, runs, axis=2)
-
-    def predict(self, u: Array, portion: Portion) -> None:
-        self._move_mean(u, portion)
-        A, Q = self.linear.A(self.k), self.linear.Q(self.k)
-        congruence(A[:, :, None], self.P, Q[:, :, None], self.P)
-        self.k += 1
-
-    def update(self, y: Array, received: Mask) -> None:
-        """A node's sensors are made uncorrelated by the Cholesky factor of their R, then taken one at a time."""
-        C, R = self.linear.C(self.k), self.linear.R(self.k)
-        for node in self.reception.nodes:
-            rows = list(node)
-            heard = self._heard(received, node)
-            whiten = np.asarray(np.linalg.inv(np.linalg.cholesky(R[np.ix_(rows, rows)])), dtype=np.float64)
-            white_y = product(whiten, np.where(heard, y[rows], 0.0))
-            for c, value in zip(whiten @ C[rows], white_y, strict=True):
-                Pc = product(c[None], self.P)[0]
-                spread = product(c[None], Pc)[0] + 1.0
-                innovation = np.where(heard, value - product(c[None], self.mean)[0], 0.0)
-                self.mean = self.mean + Pc * (innovation / spread)
-                self.P = self.P - np.where(heard, Pc[:, None] * Pc[None, :] / spread, 0.0)
-        flag(self, ~np.isfinite(self.mean).all(axis=0), Status.failed, "the estimate is not finite")
-
-    def estimate(self) -> Estimate:
-        return Estimate(self.mean, covariance=self.P)
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        _require_nodes(cls, model)
 
 
 def covariance_sequence(model: DesignModel, horizon: int) -> tuple[list[Array], Array]:
