@@ -93,12 +93,17 @@ def spanning(*values: ArrayLike, log: bool | None = None, zero: bool = False, ma
 
 
 def _linear_ticks(low: float, high: float, most: int) -> list[float]:
-    raw = (high - low) / max(most - 1, 1)
-    base = 10.0 ** np.floor(np.log10(raw))
-    step = next(m * base for m in (1, 2, 2.5, 5, 10) if m * base >= raw * 0.999)
-    first = int(np.ceil(low / step - 1e-9))
-    last = int(np.floor(high / step + 1e-9))
-    return [round(i * step, 12) for i in range(first, last + 1)]
+    """Multiples of 1, 2, 2.5 or 5 times a power of ten inside the range: as many as fit, two at least."""
+    base = 10.0 ** np.floor(np.log10((high - low) / most) - 1)
+    fallback: list[float] = []
+    for step in (m * base * scale for scale in (1, 10, 100) for m in (1, 2, 2.5, 5)):
+        first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
+        if last - first < 1:
+            break
+        fallback = [float(f"{i * step:.12g}") for i in range(first, last + 1)]
+        if last - first + 1 <= most:
+            return fallback
+    return fallback
 
 
 def tick_text(value: float) -> str:
@@ -115,21 +120,25 @@ def tick_text(value: float) -> str:
 
 
 class Panel:
-    """A rectangle of a canvas with scales. Draws its grid and labels at once, data as asked."""
+    """A rectangle of a canvas with scales. Draws its grid and labels at once, data as asked.
+
+    whole: x counts something, so its ticks are whole numbers."""
 
     def __init__(self, canvas: Canvas, left: float, top: float, width: float, height: float, x: Scale, y: Scale, *,
                  title: str = "", x_label: str = "", y_label: str = "", x_ticks: bool = True,
-                 y_ticks: bool = True) -> None:
+                 y_ticks: bool = True, whole: bool = False) -> None:
         self.canvas, self.x, self.y = canvas, x, y
         self.left, self.top, self.width, self.height = left, top, width, height
         bottom = top + height
         if title:
             canvas.text(left, top - 4, title, bold=True)
-        for value in y.ticks(max(2, int(height // 22))) if y_ticks else ():
+        for value in y.ticks(max(2, int(height // 18))) if y_ticks else ():
             at = self._down(value)
             canvas.path([(left, at), (left + width, at)], stroke="grid", width=0.5)
             canvas.text(left - 3, at + 2.8, tick_text(value), anchor="end", colour="muted", size=FONT - 0.5)
-        for value in x.ticks(max(2, int(width // 38))):
+        for value in x.ticks(max(2, int(width // 34))):
+            if whole and value != round(value):
+                continue
             at = self._across(value)
             canvas.path([(at, top), (at, bottom)], stroke="grid", width=0.5)
             if x_ticks:

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from .braking import parameter_and_diversity
 from .canvas import Canvas
+from .channel import headway, receptions
 from .cost import accuracy_against_latency
 from .data import Cell, Results
 from .errors import error_over_time, errors_per_run
 from .example import example_run
+from .metro import speed_profile
+from .moving_block import gap_over_time, track, trains_over_time
+from .random_access import trace_and_bounds
 from .ranks import critical_difference
 from .trust import certified_against_measured, nees_over_time
 
@@ -47,6 +52,30 @@ FIGURES: tuple[Figure, ...] = (
     Figure("critical-difference", "Ranks over all variants",
            "Mean rank over all runs of all variants. Bars on the right join estimators that Wilcoxon's test with "
            "Holm's correction does not tell apart, or that differ by less than 1 %.", draw_all=critical_difference),
+    Figure("speed-profile", "The trip",
+           "First kept run over its position: speeds, the line's gradients, and the disturbance no estimator knows.",
+           speed_profile, kinds=("metro",)),
+    Figure("parameter", "The parameter f and the particles' diversity",
+           "Above, f and its estimates averaged over all runs; below, how many values of f are left among the "
+           "particles of the first kept run.", parameter_and_diversity, kinds=("braking",)),
+    Figure("receptions", "What came through the channel",
+           "First kept run in windows: share of packets that arrived, and the longest wait for one.", receptions,
+           kinds=("coupled-cars",)),
+    Figure("headway", "Headway",
+           "Time between trains that each estimator's largest position error allows; bands are 95 % intervals.",
+           headway, kinds=("coupled-cars",)),
+    Figure("trace", "Trace of P and its bounds",
+           "First kept run. The bounds are those of the smallest and largest eigenvalue, times the number of states.",
+           trace_and_bounds, kinds=("linear",)),
+    Figure("track", "The track",
+           "From above, with tags, and where the follower was believed to be in the first kept run.", track,
+           kinds=("moving-block",)),
+    Figure("trains", "Both trains under moving and fixed block",
+           "Way of the leader's and the follower's nose in the first kept run.", draw_all=trains_over_time,
+           kinds=("moving-block",)),
+    Figure("gap", "Gap between the trains",
+           "True gap in the first kept run; each estimator drives its own loop.", gap_over_time,
+           kinds=("moving-block",)),
 )
 
 

@@ -15,6 +15,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ...scenarios.errors import InputError
+from ...scenarios.registry import setting_for
+from ...scenarios.setting import Setting
 from ..store import Store
 from ..verdicts import Column, Judged, by_run, judge, judged_columns, oracle_labels
 from ..wording import shown_unit
@@ -74,6 +76,12 @@ class Cell:
     @property
     def period(self) -> float:
         return float(self.about["variants"][self.variant]["period"])
+
+    @cached_property
+    def setting(self) -> Setting[Any]:
+        """The variant's setting, made anew from the manifest. Raises InputError where its plug-in is not installed."""
+        kind = setting_for(self.kind, self.key)
+        return kind(kind.Config.model_validate(dict(self.table)))
 
     @cached_property
     def judged(self) -> list[Column]:

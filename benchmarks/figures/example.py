@@ -28,7 +28,7 @@ def example_run(cell: Cell) -> Canvas | None:
         return None
     above, below, gap = 46.0, 74.0, 18.0
     room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(len(names) * (above + below + 2 * gap) + 10 + room, f"An example run, {cell.key}")
+    canvas = Canvas(len(names) * (above + below + 2 * gap) + 24 + room, f"An example run, {cell.key}")
     top = 14.0
     for name in names:
         unit, factor = units[name]

@@ -49,7 +49,7 @@ def critical_difference(cells: Sequence[Cell]) -> Canvas | None:
         height = step * len(labels) + 4
         bars = 5.0 * len(ranks.cliques) + 4
         panel = Panel(canvas, left, top, WIDTH - left - bars - 4, height, Scale(0.8, len(labels) + 0.2), Scale(0, 1),
-                      y_ticks=False, x_label=f"mean rank, {name} (1 is best)")
+                      y_ticks=False, whole=True, x_label=f"mean rank, {name} (1 is best)")
         for place, index in enumerate(order):
             y, label = top + 2 + step * (place + 0.5), labels[index]
             x = panel.points([ranks.mean[index]], [0])[0, 0]

@@ -36,10 +36,9 @@ def nees_over_time(cell: Cell) -> Canvas | None:
     canvas = Canvas(166 + room, f"NEES over time, {cell.key}")
     y = spanning(*(np.maximum(line[1], 1e-6) for line in lines.values()), limits, log=True)
     panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
-                  title="NEES / states, mean over the runs", x_label="time [s]")
-    panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.25)
-    panel.level(1.0, f"1 and 95 % interval ({counted(int(active.max()), 'run')}, {counted(usual, 'state')})",
-                colour="ink")
+                  title=f"NEES / states, mean of {counted(int(active.max()), 'run')}", x_label="time [s]")
+    panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.3)
+    panel.level(1.0, colour="ink")
     for label, (at, value, _) in lines.items():
         panel.line(at, np.maximum(value, 1e-6), cell.styles[label], width=0.8, title=label)
     legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])

@@ -1,0 +1,65 @@
+"""The lossy-channel setting's own figures: what came through, and the headway that the errors allow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..statistics import mean_interval
+from ..summary import metric_columns
+from .axes import Panel, Scale, Style, legend, legend_height, spanning
+from .canvas import WIDTH, Canvas
+from .data import Cell
+from .errors import LEFT, RIGHT
+
+WINDOWS = 60
+
+
+def receptions(cell: Cell) -> Canvas | None:
+    """Share of packets that arrived in each window of the first kept run, and the longest wait in it."""
+    track = cell.kept.get(("", "received"))
+    if track is None:
+        return None
+    received = track.truth > 0.5
+    size = max(1, -(-len(received) // WINDOWS))
+    starts = np.arange(0, len(received), size)
+    share = np.add.reduceat(received.astype(float), starts) / np.diff(np.append(starts, len(received)))
+    index = np.arange(len(received))
+    since = index - np.maximum.accumulate(np.where(received, index, -1))
+    wait = np.maximum.reduceat(since, starts) * cell.period
+    time = track.time[starts]
+    canvas = Canvas(14 + 64 + 18 + 64 + 26, f"Receptions, {cell.key}")
+    x = spanning(track.time, log=False, margin=0.0)
+    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 64, x, Scale(0.0, 1.0),
+                  title=f"share received (mean {received.mean():.2f})", x_ticks=False)
+    panel.line(time, share, Style("c0"))
+    panel.level(float(received.mean()))
+    under = Panel(canvas, LEFT, 14 + 64 + 18, WIDTH - LEFT - RIGHT, 64, x, spanning(wait, log=False, zero=True),
+                  title="longest wait for a packet [s]", x_label="time [s]")
+    under.line(time, wait, Style("c3"))
+    return canvas
+
+
+def headway(cell: Cell) -> Canvas | None:
+    """Headway time over speed, from each estimator's own largest position error, with 95 % intervals."""
+    columns = [(float(quantity.rpartition("-")[2]), column) for column, metric, quantity, _ in metric_columns(cell.rows)
+               if metric == "headway" and quantity.rpartition("-")[2].isdecimal()]
+    if len(columns) < 2:
+        return None
+    columns.sort()
+    speeds = np.array([speed for speed, _ in columns])
+    found = {label: [mean_interval(cell.values(column)[label]) for _, column in columns] for label in cell.labels}
+    found = {label: values for label, values in found.items() if all(value.n for value in values)}
+    if not found:
+        return None
+    room = legend_height(list(found), WIDTH - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Headway, {cell.key}")
+    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(speeds, log=False),
+                  spanning(*([v.value for v in values] for values in found.values()), log=False),
+                  title="headway [s]", x_label="speed [km/h]")
+    for label, values in found.items():
+        panel.band(speeds, [v.low for v in values], [v.high for v in values], cell.styles[label].colour)
+        panel.line(speeds, [v.value for v in values], cell.styles[label], title=label)
+        for speed, value in zip(speeds, values, strict=True):
+            panel.mark(float(speed), value.value, cell.styles[label], size=2.2)
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in found], markers=True)
+    return canvas

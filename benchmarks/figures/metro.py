@@ -1,0 +1,54 @@
+"""The metro setting's own figure: the trip along the line, with speed limits, gradients and the disturbance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .axes import Panel, Style, legend, legend_height, spanning
+from .canvas import WIDTH, Canvas
+from .data import Array, Cell, Track
+from .errors import LEFT, RIGHT
+from .example import thinned
+
+ROWS = (("gradient", "gradient [‰]", 1.0), ("disturbance", "disturbance [m/s²]", 1.0))
+"""Extras drawn under the speed: name, title, factor."""
+
+
+def speed_profile(cell: Cell) -> Canvas | None:
+    """Speed over position in the first kept run, with the speed that was to be kept and the limit; below it the line's
+    gradients and the disturbance the estimators do not know."""
+    labels = [label for label in cell.labels if (label, "position") in cell.kept and (label, "speed") in cell.kept]
+    if not labels:
+        return None
+    place, speed = cell.kept[labels[0], "position"], cell.kept[labels[0], "speed"]
+    at = place.truth / 1000.0
+
+    def extra(name: str) -> Array | None:
+        track: Track | None = cell.kept.get(("", name))
+        return None if track is None else np.interp(place.time, track.time, track.truth)
+
+    lines: list[tuple[str, Array, Style]] = [("true speed", speed.truth * 3.6, Style("c0"))]
+    for name, label, style in (("reference-speed", "reference", Style("c1", (4.0, 1.6))),
+                               ("speed-limit", "limit", Style("muted", (1.3, 1.3)))):
+        values = extra(name)
+        if values is not None:
+            lines.append((label, values * 3.6, style))
+    below = [(title, values * factor) for name, title, factor in ROWS if (values := extra(name)) is not None]
+    names = [label for label, _, _ in lines]
+    room = legend_height(names, WIDTH - 8)
+    canvas = Canvas(14 + 90 + 60 * len(below) + 26 + room, f"Trip, {cell.key}")
+    x = spanning(at, log=False, margin=0.0)
+    use = thinned(len(at))
+    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 90, x,
+                  spanning(*(values for _, values, _ in lines), log=False, zero=True), title="speed [km/h]",
+                  x_ticks=not below, x_label="" if below else "position [km]")
+    for label, values, style in lines:
+        panel.line(at[use], values[use], style, title=label)
+    for row, (title, values) in enumerate(below):
+        last = row == len(below) - 1
+        under = Panel(canvas, LEFT, 14 + 90 + 18 + 60 * row, WIDTH - LEFT - RIGHT, 42, x,
+                      spanning(values, log=False, zero=True), title=title, x_ticks=last,
+                      x_label="position [km]" if last else "")
+        under.line(at[use], values[use], Style("ink"), width=0.8)
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, style) for label, _, style in lines])
+    return canvas

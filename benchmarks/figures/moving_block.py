@@ -1,0 +1,121 @@
+"""Moving block's own figures: the track with its tags and both trains, their way over time, and the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
+from .canvas import WIDTH, Canvas
+from .data import Array, Cell
+from .errors import LEFT, RIGHT
+from .example import thinned
+
+LEADER, FOLLOWER, TAG = Style("c0"), Style("c1", (), "square"), Style("muted", (), "diamond")
+
+
+def _shown(cell: Cell) -> str | None:
+    """The estimator whose run is drawn: the first Kalman-type one that kept a run, else the first that did."""
+    kept = [label for label in cell.labels if (label, "s-a") in cell.kept]
+    return next((label for label in kept if label in ("ukf", "ekf", "ckf")), kept[0] if kept else None)
+
+
+def track(cell: Cell) -> Canvas | None:
+    """The track from above with its tags; true ways of both trains' noses and where the encoder alone and a filter
+    believed the follower to be."""
+    label = _shown(cell)
+    if label is None or (label, "x-a") not in cell.kept:
+        return None
+    others = [name for name in ("dead-reckoning", label) if (name, "estimate-x-b") in cell.kept]
+    x_true, y_true = cell.kept[label, "x-a"].truth * 100, cell.kept[label, "y-a"].truth * 100
+    good = np.isfinite(x_true)
+    entries = [("track", Style("muted")), ("tag", TAG),
+               *((f"follower, {name}", cell.styles[name]) for name in dict.fromkeys(others))]
+    room = legend_height([name for name, _ in entries], WIDTH - 8)
+    config = cell.setting.config
+    straight, radius = config.plant.track.straight * 100, config.plant.track.radius * 100
+    long_side, short_side = straight / 2 + radius + 8, radius + 8
+    width = WIDTH - LEFT - RIGHT
+    height = width * short_side / long_side
+    canvas = Canvas(14 + height + 26 + room, f"Track, {cell.key}")
+    panel = Panel(canvas, LEFT, 14, width, height, Scale(-long_side, long_side), Scale(-short_side, short_side),
+                  title="x [cm]", x_label="y [cm]")
+    outline = _stadium(straight, radius, np.linspace(0, 1, 200))
+    canvas.path(panel.points(outline[:, 1], outline[:, 0]), stroke="muted", width=0.8)
+    count = config.sensors.tags.count
+    for x, y in _stadium(straight, radius, (np.arange(count) + 0.5) / count):
+        at = panel.points([y], [x])[0]
+        draw_marker(canvas, at[0], at[1], TAG, 2.2, "tag")
+    for name in dict.fromkeys(others):
+        x, y = (cell.kept[name, f"estimate-{axis}-b"].truth * 100 for axis in "xy")
+        for k in thinned(int(np.isfinite(x).sum()), 60):
+            at = panel.points([y[k]], [x[k]])[0]
+            draw_marker(canvas, at[0], at[1], cell.styles[name], 1.3)
+    start = panel.points([y_true[good][0]], [x_true[good][0]])[0]
+    canvas.text(start[0] + 4, start[1] + 10, "start", size=7, colour="muted")
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, entries, markers=True)
+    return canvas
+
+
+def _stadium(straight: float, radius: float, share: Array) -> Array:
+    """Points (n, 2) of the track at shares of its length, counter-clockwise from (radius, 0)."""
+    half, arc = straight / 2, np.pi * radius
+    s = np.asarray(share) * (2 * straight + 2 * arc)
+    first, second = (s - half) / radius, (s - 3 * half - arc) / radius
+    pieces = [s < half, s < half + arc, s < 3 * half + arc, s < 3 * half + 2 * arc]
+    x = np.select(pieces, [np.full_like(s, radius), radius * np.cos(first), np.full_like(s, -radius),
+                           -radius * np.cos(second)], radius)
+    y = np.select(pieces, [s, half + radius * np.sin(first), 2 * half + arc - s, -half - radius * np.sin(second)],
+                  s - 2 * straight - 2 * arc)
+    return np.column_stack([x, y])
+
+
+def trains_over_time(cells: Sequence[Cell]) -> Canvas | None:
+    """Ways of both trains under moving block and under fixed block, first kept run of one filter."""
+    chosen: dict[str, Cell] = {}
+    for cell in cells:
+        kind = str(cell.table.get("plant", {}).get("signalling", {}).get("kind", ""))
+        if kind and _shown(cell) and kind not in chosen:
+            chosen[kind] = cell
+    if not chosen:
+        return None
+    each = 84.0
+    entries = [("leader", LEADER), ("follower", FOLLOWER)]
+    room = legend_height([name for name, _ in entries], WIDTH)
+    canvas = Canvas(len(chosen) * (each + 18) + 26 + room, f"Trains over time, {cells[0].scenario}")
+    tracks = {kind: [cell.kept[str(_shown(cell)), name] for name in ("s-a", "s-b")] for kind, cell in chosen.items()}
+    alive = [np.isfinite(pair[0].truth) for pair in tracks.values()]
+    x = spanning(*(pair[0].time[ok] for pair, ok in zip(tracks.values(), alive, strict=True)), log=False, margin=0.0)
+    for row, (kind, pair) in enumerate(tracks.items()):
+        last = row == len(tracks) - 1
+        panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x,
+                      spanning(*(way.truth * 100 for way in pair), log=False), x_ticks=last,
+                      title=f"{kind} block ({chosen[kind].variant}, {_shown(chosen[kind])}): way [cm]",
+                      x_label="time [s]" if last else "")
+        for way, style, name in zip(pair, (LEADER, FOLLOWER), ("leader", "follower"), strict=True):
+            use = thinned(len(way.time))
+            panel.line(way.time[use], way.truth[use] * 100, style, title=name)
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, entries)
+    return canvas
+
+
+def gap_over_time(cell: Cell) -> Canvas | None:
+    """The true gap in each estimator's own loop, first kept run, and the distance that must not be undercut."""
+    labels = [label for label in cell.labels if (label, "gap") in cell.kept]
+    if not labels:
+        return None
+    gaps = {label: (cell.kept[label, "gap"].time, cell.kept[label, "gap"].truth * 100) for label in labels}
+    least = float(cell.setting.config.plant.control.safe_gap) * 100
+    room = legend_height(labels, WIDTH - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Gap, {cell.key}")
+    x = spanning(*(time[np.isfinite(gap)] for time, gap in gaps.values()), log=False, margin=0.0)
+    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, x,
+                  spanning(*(gap for _, gap in gaps.values()), [0.0], log=False),
+                  title="gap [cm]; dashed: the least admitted", x_label="time [s]")
+    for label, (time, gap) in gaps.items():
+        use = thinned(int(np.isfinite(gap).sum()), 400)
+        panel.line(time[use], gap[use], cell.styles[label], width=0.9, title=label)
+    panel.level(least, colour="ink", dash=(3, 2))
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    return canvas

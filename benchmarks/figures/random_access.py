@@ -1,0 +1,54 @@
+"""Random access's own figure: the trace of the filters' covariances between the theorems' bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...estimators.random_access_bounds import CovarianceBounds
+from ...scenarios.randomness import Streams
+from .axes import Panel, Style, legend, legend_height, spanning
+from .canvas import WIDTH, Canvas
+from .data import Array, Cell
+from .errors import LEFT, RIGHT
+from .example import thinned
+
+
+def covariance_bounds(cell: Cell) -> CovarianceBounds | None:
+    """Theorems 2 to 4 for a variant, None where its channel is not random access."""
+    world = cell.setting.world(Streams(0, cell.scenario, cell.variant, (0,)))
+    model = cell.setting.design_model({}, world.initial_mean)
+    if model.linear is None or model.reception is None or not model.reception.nodes:
+        return None
+    return CovarianceBounds(model.linear, model.reception, model.initial_covariance[:, :, 0], world.steps)
+
+
+def trace_and_bounds(cell: Cell) -> Canvas | None:
+    """Trace of P over time in the first kept run, and nx times the bounds of its eigenvalues: (21) from below, from
+    above the least sigma for which (30), (31) hold."""
+    labels = [label for label in cell.labels if (label, "trace-covariance") in cell.kept]
+    bounds = covariance_bounds(cell) if labels else None
+    if bounds is None:
+        return None
+    tracks = {label: cell.kept[label, "trace-covariance"] for label in labels}
+    nx = bounds.A.shape[1]
+    entries: list[tuple[str, Style]] = [(label, cell.styles[label]) for label in labels]
+    levels: list[tuple[str, float, Style]] = []
+    if bounds.lower > 0:
+        levels.append(("lower bound (21)", nx * bounds.lower, Style("ink", (4.0, 1.6))))
+    found = bounds.search()
+    if found:
+        levels.append((f"upper bound, σ = {found[0]:g}", nx * found[0], Style("muted", (1.3, 1.3))))
+    entries += [(name, style) for name, _, style in levels]
+    room = legend_height([name for name, _ in entries], WIDTH - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Trace of P, {cell.key}")
+    time: Array = next(iter(tracks.values())).time
+    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(time, log=False, margin=0.0),
+                  spanning(*(track.estimate for track in tracks.values()), [value for _, value, _ in levels]),
+                  title="trace of P and its bounds", x_label="time [s]")
+    for label, track in tracks.items():
+        use = thinned(len(track.time))
+        panel.line(track.time[use], track.estimate[use], cell.styles[label], width=0.8, title=label)
+    for name, value, style in levels:
+        panel.line(time[[0, -1]], np.array([value, value]), style, title=name)
+    legend(canvas, 4, canvas.height - room, WIDTH - 8, entries)
+    return canvas
