@@ -21,14 +21,20 @@ CURVES = ("active", "squared", "fourth", "error", "nees", "nees-count")
 
 
 @njit(cache=True)
-def _errors(vector, truth, counted, index, weight, owner, share, limit, squared, absolute, largest, last, steps, good,
-            curve_squared, curve_fourth, curve_error, curve_count):
-    """Add one step's errors. Runs whose error is not finite or above its limit get good[s] = False."""
+def _errors(vector, truth, counted, partial, scored, index, weight, owner, share, limit, squared, absolute, largest,
+            last, steps, left_out, good, curve_squared, curve_fourth, curve_error, curve_count):
+    """Add one step's errors. Runs whose error is not finite or above its limit get good[s] = False.
+
+    partial: only elements with scored[i, s] enter a run's sums (the curves and the last error keep all of them);
+    left_out[q, s] adds up the share of the steps that a quantity missed so."""
     rows, runs = index.shape[0], truth.shape[1]
     quantities = squared.shape[0]
     step_squared = np.zeros((quantities, runs))
     step_absolute = np.zeros((quantities, runs))
     step_error = np.zeros((quantities, runs))
+    own_squared, own_absolute = step_squared, step_absolute
+    if partial:
+        own_squared, own_absolute = np.zeros((quantities, runs)), np.zeros((quantities, runs))
     for r in range(rows):
         i, w, q, f = index[r], weight[r], owner[r], share[r]
         for s in range(runs):
@@ -39,13 +45,21 @@ def _errors(vector, truth, counted, index, weight, owner, share, limit, squared,
             if counted[s] and good[s]:
                 if not (abs(e) <= limit[q]):
                     good[s] = False
-                elif abs(e) > largest[q, s]:
+                elif abs(e) > largest[q, s] and (not partial or scored[i, s]):
                     largest[q, s] = abs(e)
+        if partial:
+            for s in range(runs):
+                e = w * (vector[i, s] - truth[i, s])
+                if scored[i, s]:
+                    own_squared[q, s] += f * e * e
+                    own_absolute[q, s] += f * abs(e)
+                elif counted[s] and good[s]:
+                    left_out[q, s] += f
     for q in range(quantities):
         for s in range(runs):
             if counted[s] and good[s]:
-                squared[q, s] += step_squared[q, s]
-                absolute[q, s] += step_absolute[q, s]
+                squared[q, s] += own_squared[q, s]
+                absolute[q, s] += own_absolute[q, s]
                 last[q, s] = step_error[q, s]
                 curve_squared[q] += step_squared[q, s]
                 curve_fourth[q] += step_squared[q, s] ** 2
@@ -128,6 +142,7 @@ class Scorer:
         self.limit = np.array([limits.get(item.name, np.finfo(float).max) for item in quantities])
         n = len(quantities)
         self.squared, self.absolute, self.largest, self.last = (np.zeros((n, runs)) for _ in range(4))
+        self.left_out, self.everything = np.zeros((n, runs)), np.ones((1, runs), dtype=bool)
         self.steps = np.zeros(runs, dtype=np.int64)
         self.good, self.lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
         self.nees, self.nees_steps = np.zeros(runs), np.zeros(runs)
@@ -145,8 +160,10 @@ class Scorer:
         mean = np.ascontiguousarray(estimate.mean)
         vector = mean if estimate.parameter is None else np.concatenate([mean, estimate.parameter])
         curves = self.curves
-        _errors(vector, step.truth, step.active, self.index, self.weight, self.owner, self.share, self.limit,
-                self.squared, self.absolute, self.largest, self.last, self.steps, self.good,
+        partial = step.scored is not None
+        _errors(vector, step.truth, step.active, partial, step.scored if step.scored is not None else self.everything,
+                self.index, self.weight, self.owner, self.share, self.limit,
+                self.squared, self.absolute, self.largest, self.last, self.steps, self.left_out, self.good,
                 curves["squared"][k], curves["fourth"][k], curves["error"][k], curves["active"][k:k + 1])
         counted = step.active & self.good
         error = None
@@ -200,8 +217,9 @@ class Scorer:
         steps = np.where(self.steps > 0, self.steps, np.nan)
         metrics: dict[tuple[str, str], Array] = {}
         for q, item in enumerate(self.quantities):
-            metrics["rmse", item.name] = np.sqrt(self.squared[q] / steps)
-            metrics["mae", item.name] = self.absolute[q] / steps
+            counted = steps - self.left_out[q] if item.mean else steps
+            metrics["rmse", item.name] = np.sqrt(self.squared[q] / counted)
+            metrics["mae", item.name] = self.absolute[q] / counted
             metrics["max", item.name] = self.largest[q].copy()
             metrics["final", item.name] = np.abs(self.last[q])
             if not item.mean:

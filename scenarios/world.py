@@ -32,12 +32,14 @@ class Step:
 
     u (nu, S): the input as the estimator is told it, over the interval that ends here. events: in time order, their
     portions adding up to the step's length. truth (nt, S): the state, then the parameters to be estimated, at the
-    instant. active (S,): runs still under way (a train that has stopped is scored no further)."""
+    instant. active (S,): runs still under way (a train that has stopped is scored no further). scored (nt, S): elements
+    of the truth that still count in runs under way (one of several trains may have finished); None: all of them."""
 
     u: Array
     events: tuple[Event, ...]
     truth: Array
     active: Mask
+    scored: Mask | None = None
 
 
 class World(Protocol):
