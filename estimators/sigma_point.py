@@ -114,9 +114,14 @@ class UnscentedKalman(SigmaPointKalman):
 
         @model_validator(mode="after")
         def _consistent(self) -> UnscentedKalman.Parameters:
+            """alpha and beta belong to the scaled points."""
             if self.points == "julier" and (self.alpha, self.beta) != (1.0, 0.0):
                 raise ValueError('points = "julier" has no alpha and beta: leave them out, or use points = "scaled"')
             return self
+
+        def kappa_for(self, n: int) -> float:
+            """kappa for n states."""
+            return max(3.0 - n, 0.0) if self.kappa is None else self.kappa
 
     summary = "unscented Kalman filter (scaled or Julier's points)"
     source = "Julier and Uhlmann, Proc. IEEE 92(3), 2004; van der Merwe, thesis, OHSU 2004"
@@ -127,7 +132,7 @@ class UnscentedKalman(SigmaPointKalman):
 
     def weights(self, n: int) -> Weights:
         p = self.parameters
-        kappa = max(3.0 - n, 0.0) if p.kappa is None else p.kappa
+        kappa = p.kappa_for(n)
         spread = p.alpha**2 * (n + kappa)
         if spread <= 0:
             raise Infeasible(f"kappa = {kappa:g} leaves {n} states without sigma points: it must be above {-n}")
