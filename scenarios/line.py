@@ -1,10 +1,11 @@
-"""Lines and trains as tables: stops, speed limits and gradients; mass, forces, resistance. From scenario or TTOBench JSON.
+"""Lines (stops, limits, gradients) and trains (mass, forces, resistance), from the scenario or from TTOBench's JSON.
 
 What a wrong file gets is one message that names the file, the entry and what is allowed."""
 
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,19 +32,19 @@ class Line(Strict):
 
     stops: Annotated[list[float], Field(min_length=2)]
     speed_limits: Annotated[list[Pair], Field(min_length=1)]
-    gradients: list[Pair] = [[0.0, 0.0]]
+    gradients: Annotated[list[Pair], Field(min_length=1)]
 
     @field_validator("stops")
     @classmethod
     def _forwards(cls, stops: list[float]) -> list[float]:
-        if any(b <= a for a, b in zip(stops, stops[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(stops)):
             raise ValueError("stops must lie one after another, each farther along the line")
         return stops
 
     @field_validator("speed_limits", "gradients")
     @classmethod
     def _ordered(cls, pairs: list[list[float]]) -> list[list[float]]:
-        for (a, _), (b, _) in zip(pairs, pairs[1:], strict=False):
+        for (a, _), (b, _) in pairwise(pairs):
             if b < a + 0.1:
                 raise ValueError(f"positions must increase by at least 0.1 m, but {b:g} m follows {a:g} m")
         return pairs
@@ -92,8 +93,8 @@ class Train(Strict):
     max_speed: PositiveFloat
     max_traction: PositiveFloat
     max_braking: PositiveFloat
-    traction: Powers = [0.0, 1.0, 0.0, 0.0, 0.0]
-    braking: Powers = [0.0, 1.0, 0.0, 0.0, 0.0]
+    traction: Powers
+    braking: Powers
     resistance: Annotated[list[float], Field(min_length=3, max_length=3)]
 
     @property
@@ -114,8 +115,7 @@ def read_line(path: str) -> Line:
     scale = _unit(stops.get("unit"), LENGTHS, "stops", path)
     line = {"stops": [scale * s for s in _numbers(stops.get("values"), "stops", path)],
             "speed_limits": _pairs(table, "speed limits", "velocity", SPEEDS, path)}
-    if "gradients" in table:
-        line["gradients"] = _pairs(table, "gradients", "slope", SLOPES, path)
+    line["gradients"] = _pairs(table, "gradients", "slope", SLOPES, path) if "gradients" in table else [[0.0, 0.0]]
     return _checked(Line, line, path)
 
 
@@ -203,7 +203,9 @@ def _numbers(values: Any, key: str, path: str) -> list[float]:
 
 def _pairs(table: dict[str, Any], key: str, second: str, units: dict[str, float], path: str) -> list[list[float]]:
     entry = _entry(table, key, path)
-    named = entry.get("units") if isinstance(entry.get("units"), dict) else {}
+    named = entry.get("units")
+    if not isinstance(named, dict):
+        raise ValueError(f"{path}: \"{key}\" needs units of position and {second}")
     scales = (_unit(named.get("position"), LENGTHS, key, path), _unit(named.get(second), units, key, path))
     rows = entry.get("values")
     if not isinstance(rows, list) or not rows or any(not isinstance(row, list) or len(row) != 2 for row in rows):

@@ -2,6 +2,9 @@
 
 Truth: `metro_trip`; what estimators are told: the same acceleration law without the disturbance, and its bounds."""
 
+# Each setting narrows the types of the common tables, which are frozen: pyright takes them for mutable.
+# pyright: reportIncompatibleVariableOverride=false
+
 from __future__ import annotations
 
 import math
@@ -81,11 +84,13 @@ class Knowledge(Strict):
 
 
 class MetroConfig(ScenarioConfig):
+    """The metro scenario, resolved for one variant."""
+
     plant: Plant
-    disturbance: Disturbance
-    sensors: Sensors
+    disturbance: Disturbance  # pyright: ignore[reportGeneralTypeIssues]
+    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
     channel: Channel = Ideal()
-    knowledge: Knowledge
+    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
     def _consistent(self) -> MetroConfig:
@@ -147,33 +152,41 @@ class Metro(Setting[MetroConfig]):
         told: Knowledge = self.resolve_knowledge(knowledge)
         train, line, period = self.config.plant.train, self.config.plant.line, self.config.time.period
         forces, slope = train.forces, line.slope(train.rotating)
-        whole = np.array([period])
+        runs = initial_mean.shape[1]
+        whole = np.full(runs, period)
 
         def seconds(portion: Portion) -> Array:
-            if isinstance(portion, float):
-                return whole if portion == 1.0 else np.array([period * portion])
-            return period * np.asarray(portion, dtype=float)
+            if isinstance(portion, float) and portion == 1.0:
+                return whole
+            return np.broadcast_to(period * np.asarray(portion, dtype=float), (runs,)).copy()
 
         def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
-            return compiled.transition(points, u[0], seconds(portion), forces, slope).reshape(x.shape)
+            points = np.ascontiguousarray(x).reshape(2, -1, runs)
+            out = np.empty_like(points)
+            compiled.transition(points, u[0], seconds(portion), forces, slope, np.empty(points.shape[1:]), out)
+            return out.reshape(x.shape)
 
         def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            return compiled.transition_jacobian(x, u[0], seconds(portion), forces)
+            out = np.empty((2, 2, runs))
+            compiled.transition_jacobian(x[1], u[0], seconds(portion), forces, out)
+            return out
 
         def covariance(h: Array) -> Array:
             gamma = np.array([0.5 * h * h, h]) * told.process_sd
             return gamma[:, None] * gamma[None, :]
 
-        once = covariance(whole)
+        once = covariance(np.array([period]))
 
         def process_covariance(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            return once if isinstance(portion, float) and portion == 1.0 else covariance(seconds(portion))
+            if isinstance(portion, float):
+                return once if portion == 1.0 else covariance(np.array([period * portion]))
+            return covariance(seconds(portion))
 
         def kappa(x: Array, u: Array, Pi: Array) -> Array:
-            if told.kappa is not None:
-                return np.full(x.shape[1], told.kappa)
-            return compiled.slope_change(x, u[0], Pi, period, forces)
+            out = np.full(runs, told.kappa or 0.0)
+            if told.kappa is None:
+                compiled.slope_change(x[1], u[0], Pi, period, forces, out)
+            return out
 
         gain = np.array([[0.5 * period**2], [period]])
         identity, noise = np.eye(2)[:, :, None], np.diag(told.sensor_sd**2)[:, :, None]

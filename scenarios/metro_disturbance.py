@@ -1,4 +1,4 @@
-"""The metro's disturbance and sensor noise, drawn per run: every variant of the page, none outside its bounds but Gaussian.
+"""The metro's disturbance and sensor noise, drawn per run: every form keeps its bounds but the Gaussian.
 
 Whole trajectories are drawn at once, so that the compiled trip only looks them up."""
 
@@ -29,13 +29,13 @@ class Disturbance(Strict):
 
     form: Form
     w_bar: PositiveFloat
-    period: Range = [15.0, 60.0]
-    piece: Range = [3.0, 15.0]
-    amplitude: Range = [0.5, 1.0]
-    mass: Annotated[float, Field(ge=0, lt=1)] = 0.08
-    force: Annotated[float, Field(ge=0, lt=1)] = 0.05
-    gradient: NonNegativeFloat = 0.003
-    wind: NonNegativeFloat = 15 / 3.6
+    period: Range
+    piece: Range
+    amplitude: Range
+    mass: Annotated[float, Field(ge=0, lt=1)]
+    force: Annotated[float, Field(ge=0, lt=1)]
+    gradient: NonNegativeFloat
+    wind: NonNegativeFloat
 
     @model_validator(mode="after")
     def _consistent(self) -> Disturbance:
@@ -92,8 +92,8 @@ class Sensors(Strict):
 
     noise: Literal["uniform", "biased", "gaussian"] = "uniform"
     v_bar: Range
-    share: Annotated[float, Field(ge=0, le=1)] = 0.5
-    period: Range = [10.0, 40.0]
+    share: Annotated[float, Field(ge=0, le=1)]
+    period: Range
 
     def draw(self, random: RunRandom, steps: int, period: float) -> Array:
         """The measurement noise (steps, 2, S)."""
@@ -119,4 +119,4 @@ def wave(random: RunRandom, range_: list[float], steps: int, period: float) -> A
 
 def random_sign(random: RunRandom) -> Array:
     """+1 or -1 (S,)."""
-    return 2.0 * random.integers(0, 1) - 1.0
+    return 2.0 * random.integers(0, 1).astype(np.float64) - 1.0

@@ -50,7 +50,7 @@ class Slope(NamedTuple):
     jump: Array
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def share(V, c0, c1, c2, c3, c4):  # pyright: ignore
     """Share of the greatest force that is left at V km/h, within 0..1."""
     V = max(V, 0.1)
@@ -58,85 +58,92 @@ def share(V, c0, c1, c2, c3, c4):  # pyright: ignore
     return max(0.0, min(1.0, left))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
+def effect(u, forces):  # pyright: ignore
+    """Greatest force and its five coefficients that the input u calls on: braking where negative, else traction."""
+    back = u < 0.0
+    return (forces.brake if back else forces.drive, forces.b0 if back else forces.t0, forces.b1 if back else forces.t1,
+            forces.b2 if back else forces.t2, forces.b3 if back else forces.t3, forces.b4 if back else forces.t4)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def level(v, u, forces):  # pyright: ignore
+    """Acceleration on level track, m/s^2: traction for u > 0, braking for u < 0, less resistance."""
+    V = KMH * v
+    top, c0, c1, c2, c3, c4 = effect(u, forces)
+    return u * top * share(V, c0, c1, c2, c3, c4) - (forces.r0 + V * (forces.r1 + V * forces.r2))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def climb(s, slope):  # pyright: ignore
     """Deceleration by the gradient at s (m), m/s^2. Beyond the line its first and last gradients go on."""
-    place = s * slope.cells
-    if not place > 0.0:
-        place = 0.0
-    last = slope.base.shape[0] - 1
-    cell = int(min(place, last))
+    cell = np.int32(min(max(s * slope.cells, 0.0), float(slope.base.shape[0] - 1)))
     return slope.base[cell] + (slope.jump[cell] if s >= slope.edge[cell] else 0.0)
 
 
-@njit(cache=True, inline="always")
-def acceleration(s, v, u, forces, slope):  # pyright: ignore
-    """a(s, v, u) in m/s^2: traction for u > 0, braking for u < 0, less resistance and gradient."""
-    V = KMH * v
-    pull = forces.drive * share(V, forces.t0, forces.t1, forces.t2, forces.t3, forces.t4)
-    hold = forces.brake * share(V, forces.b0, forces.b1, forces.b2, forces.b3, forces.b4)
-    resistance = forces.r0 + V * (forces.r1 + V * forces.r2)
-    return u * (hold if u < 0.0 else pull) - resistance - climb(s, slope)
-
-
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def damping(v, u, forces):  # pyright: ignore
     """da/dv in 1/s."""
     V = KMH * v
-    if u < 0.0:
-        c0, c1, c2, c3, c4 = forces.b0, forces.b1, forces.b2, forces.b3, forces.b4
-        force = forces.brake
-    else:
-        c0, c1, c2, c3, c4 = forces.t0, forces.t1, forces.t2, forces.t3, forces.t4
-        force = forces.drive
+    top, c0, c1, c2, c3, c4 = effect(u, forces)
     left = share(V, c0, c1, c2, c3, c4)
-    grade = c2 - c0 / max(V, 0.1) ** 2 + V * (2.0 * c3 + V * 3.0 * c4)
-    if left <= 0.0 or left >= 1.0:
-        grade = 0.0
-    return KMH * (u * force * grade - forces.r1 - 2.0 * forces.r2 * V)
+    W = max(V, 0.1)
+    grade = c2 - c0 / (W * W) + W * (2.0 * c3 + W * 3.0 * c4)
+    grade = grade if 0.0 < left < 1.0 else 0.0
+    return KMH * (u * top * grade - forces.r1 - 2.0 * forces.r2 * V)
 
 
-@njit(cache=True)
-def transition(x, u, h, forces, slope):  # pyright: ignore
-    """Both states h seconds later (page: s+ = s + h v + h^2 a / 2, v+ = v + h a). x (2, P, S), u (S,), h (S,) or (1,)."""
-    out = np.empty_like(x)
-    _, points, runs = x.shape
-    for p in range(points):
-        for r in range(runs):
-            step = h[r] if h.shape[0] > 1 else h[0]
-            s, v = x[0, p, r], x[1, p, r]
-            a = acceleration(s, v, u[r], forces, slope)
-            out[0, p, r] = s + step * v + 0.5 * step * step * a
-            out[1, p, r] = v + step * a
-    return out
+# The gradient's look-up does not turn into vector instructions, so it has a pass of its own and the rest does.
 
 
-@njit(cache=True)
-def transition_jacobian(x, u, h, forces):  # pyright: ignore
-    """df/dx (2, 2, S) at x (2, S). The gradient's steps are left out: it is constant almost everywhere."""
-    runs = x.shape[1]
-    out = np.empty((2, 2, runs))
-    for r in range(runs):
-        step = h[r] if h.shape[0] > 1 else h[0]
-        d = damping(x[1, r], u[r], forces)
+@njit(cache=True, error_model="numpy")
+def _climbs(s, slope, out):  # pyright: ignore
+    for r in range(s.shape[0]):
+        out[r] = climb(s[r], slope)
+
+
+@njit(cache=True, error_model="numpy")
+def _advance(s, v, u, h, steep, forces, s_out, v_out):  # pyright: ignore
+    for r in range(s.shape[0]):
+        a = level(v[r], u[r], forces) - steep[r]
+        s_out[r] = s[r] + h[r] * v[r] + 0.5 * h[r] * h[r] * a
+        v_out[r] = v[r] + h[r] * a
+
+
+@njit(cache=True, error_model="numpy")
+def transition(x, u, h, forces, slope, steep, out):  # pyright: ignore
+    """Both states h seconds later (page: s+ = s + h v + h^2 a / 2, v+ = v + h a).
+
+    x, out (2, P, S); u, h (S,); steep (P, S) is for scratch."""
+    for p in range(x.shape[1]):
+        _climbs(x[0, p], slope, steep[p])
+    for p in range(x.shape[1]):
+        _advance(x[0, p], x[1, p], u, h, steep[p], forces, out[0, p], out[1, p])
+
+
+@njit(cache=True, error_model="numpy")
+def transition_jacobian(v, u, h, forces, out):  # pyright: ignore
+    """df/dx, out (2, 2, S), at the speeds v (S,). The gradient's steps are left out: they have no width."""
+    for r in range(v.shape[0]):
+        d = damping(v[r], u[r], forces)
         out[0, 0, r] = 1.0
-        out[0, 1, r] = step + 0.5 * step * step * d
+        out[0, 1, r] = h[r] + 0.5 * h[r] * h[r] * d
         out[1, 0, r] = 0.0
-        out[1, 1, r] = 1.0 + step * d
-    return out
+        out[1, 1, r] = 1.0 + h[r] * d
 
 
-@njit(cache=True)
-def slope_change(x, u, Pi, h, forces):  # pyright: ignore
-    """kappa (S,): h times the largest change of da/dv within the error bound, at v^ + q sqrt(Pi_22), q = +-0.5, +-1."""
-    runs = x.shape[1]
-    out = np.zeros(runs)
-    for r in range(runs):
+@njit(cache=True, error_model="numpy")
+def slope_change(v, u, Pi, h, forces, out):  # pyright: ignore
+    """kappa, out (S,): h times the largest change of da/dv within the error bound, at v^ + q sqrt(Pi_22).
+
+    The page takes q = +-0.5, +-1."""
+    for r in range(v.shape[0]):
         e = np.sqrt(max(Pi[1, 1, r if Pi.shape[2] > 1 else 0], 0.0))
-        here = damping(x[1, r], u[r], forces)
+        here = damping(v[r], u[r], forces)
+        most = 0.0
         for q in (-1.0, -0.5, 0.5, 1.0):
-            out[r] = max(out[r], h * abs(damping(x[1, r] + q * e, u[r], forces) - here))
-    return out
+            most = max(most, abs(damping(v[r] + q * e, u[r], forces) - here))
+        out[r] = h * most
 
 
 def slope_grid(positions: Array, gradients: Array, rotating: float) -> Slope:

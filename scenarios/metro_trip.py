@@ -5,6 +5,7 @@ The controller sees the true state; what it asks of the train is the input that 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from .line import Line, Train
-from .metro_plant import GRAVITY, KMH, Forces, Slope, acceleration, climb, share
+from .metro_plant import GRAVITY, KMH, climb, effect, level, share
 from .schema import Strict
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class Reference:
         pieces: list[tuple[float, float, float]] = []
         first = [0]
         edges = [position for position, _ in line.speed_limits]
-        for begin, stop in zip(line.stops, line.stops[1:], strict=False):
+        for begin, stop in pairwise(line.stops):
             starts = [begin, *(edge for edge in edges if begin < edge < stop)]
             limits = np.minimum(line.limit(np.array(starts)), train.max_speed) - controller.margin
             section: list[tuple[float, float, float]] = []
@@ -119,8 +120,8 @@ def simulate(line: Line, train: Train, controller: Controller, start: tuple[floa
     active, section = np.empty((steps, runs), dtype=np.bool_), np.empty((steps, runs), dtype=np.int64)
     plan = Reference.of(line, train, controller)
     _simulate(train.forces, line.slope(train.rotating), plan.start, plan.base, plan.rate, plan.first,
-              np.array(line.stops), np.array(start), period, (controller.braking, controller.gain, controller.effort[0],
-              controller.effort[1], controller.slew, controller.ended, controller.overrun),
+              np.array(line.stops), np.array(start), period,
+              (controller.gain, *controller.effort, controller.slew, controller.ended, controller.overrun),
               round(controller.dwell / period), factors, bound, GRAVITY / (1 + train.rotating), physical, acted, state,
               u, active, section, reference)
     return Trip(state, u, acted, active, section, reference)
@@ -128,12 +129,11 @@ def simulate(line: Line, train: Train, controller: Controller, start: tuple[floa
 
 @njit(cache=True)
 def _effort(a, s, v, forces, slope):  # pyright: ignore
-    """The input u that gives the acceleration a: the inverse of `acceleration`, not yet limited."""
+    """The input u that gives the acceleration a: the inverse of the plant, not yet limited."""
     V = KMH * v
     force = a + forces.r0 + V * (forces.r1 + V * forces.r2) + climb(s, slope)
-    if force < 0.0:
-        return force / (forces.brake * max(share(V, forces.b0, forces.b1, forces.b2, forces.b3, forces.b4), 1e-3))
-    return force / (forces.drive * max(share(V, forces.t0, forces.t1, forces.t2, forces.t3, forces.t4), 1e-3))
+    top, c0, c1, c2, c3, c4 = effect(force, forces)
+    return force / (top * max(share(V, c0, c1, c2, c3, c4), 1e-3))
 
 
 @njit(cache=True)
@@ -142,10 +142,8 @@ def _disturbed(s, v, u, forces, slope, mass, pull, hold, rise, wind, g):  # pyri
 
     Rolling resistance is per weight, so the mass leaves it alone; the wind changes the air's part, r2."""
     V, air = KMH * v, KMH * (v + wind)
-    if u < 0.0:
-        force = forces.brake * share(V, forces.b0, forces.b1, forces.b2, forces.b3, forces.b4) * hold
-    else:
-        force = forces.drive * share(V, forces.t0, forces.t1, forces.t2, forces.t3, forces.t4) * pull
+    top, c0, c1, c2, c3, c4 = effect(u, forces)
+    force = top * share(V, c0, c1, c2, c3, c4) * (hold if u < 0.0 else pull)
     drag = forces.r0 + forces.r1 * V + forces.r2 * air * abs(air)
     return u * force / mass - drag - climb(s, slope) - g * rise
 
@@ -159,7 +157,7 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
     exactly; the residual speed is at most T w_bar, so that w keeps its bound. WAITING counts the dwell. At standstill
     u holds the train against gradient and resistance."""
     RUNNING, LANDING_STEP, HELD, WAITING, DONE = 0, 1, 2, 3, 4
-    brake, gain, least, greatest, slew, ended, overrun = control
+    gain, least, greatest, slew, ended, overrun = control
     steps, runs = w.shape
     sections = first.shape[0] - 1
     for r in range(runs):
@@ -177,8 +175,8 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
                 effort = min(max(asked, effort - slew * T), effort + slew * T)
             else:
                 effort = _effort(-v / T, s, v, forces, slope)
-            a = acceleration(s, v, effort, forces, slope)
-            if mode == RUNNING or mode == LANDING_STEP:
+            a = level(v, effort, forces) - climb(s, slope)
+            if mode in (RUNNING, LANDING_STEP):
                 if physical:
                     off = _disturbed(s, v, effort, forces, slope, factors[0, r], factors[1, r], factors[2, r],
                                      factors[3, r], factors[4, r], g) - a
@@ -190,7 +188,7 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
             total = a + w[k, r]
             s += T * v + 0.5 * T * T * total
             v += T * total
-            if mode == HELD or mode == WAITING or mode == DONE:
+            if mode in (HELD, WAITING, DONE):
                 v = 0.0  # but for rounding it is
             state[k, 0, r], state[k, 1, r], u[k, 0, r] = s, v, effort
             active[k, r], section[k, r], reference[k, r] = mode != DONE, leg, wanted

@@ -1,0 +1,215 @@
+"""The metro setting: plant and disturbances against the page's formulas, estimators' errors against its table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from railstate.scenarios.errors import InputError
+from railstate.scenarios.files import load
+from railstate.scenarios.randomness import Streams
+
+BOUNDED = ("switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias")
+VARIANTS = (*BOUNDED, "gaussian")
+# position m / speed m/s of the Kalman filters with matched, naive and inflated process noise, 100 runs
+EXPECTED = {
+    "white": ((.113, .042), (.174, .063), (.114, .059)),
+    "sinusoid": ((.165, .132), (1.11, .433), (.115, .066)),
+    "switching": ((.145, .125), (.717, .325), (.116, .067)),
+    "constant": ((.245, .183), (2.38, .676), (.116, .073)),
+    "physical": ((.122, .052), (.525, .158), (.115, .058)),
+    "physical-bias": ((.315, .076), (.588, .162), (.314, .075)),
+    "switching-bias": ((.333, .139), (.772, .328), (.320, .082)),
+    "gaussian": ((.065, .024), (.072, .030), (.066, .043)),
+}
+
+
+def setting(variant="switching", **overrides):
+    return load("ningbo-metro", overrides).setting(variant)
+
+
+def world(variant, runs):
+    return setting(variant).world(Streams(1, "ningbo-metro", variant, runs))
+
+
+def page_acceleration(s, v, u):
+    """The page's a(s, v, u), written from its table, number by number."""
+    V, mass = 3.6 * v, 250_000
+    F = 212_904 * 1.3 * (1 if V <= 51.5 else (-0.002032 * V**3 + 0.4928 * V**2 - 42.13 * V + 1343) / 203)
+    B = 212_904 * 1.091 * (1 if V <= 77 else (0.1343 * V**2 - 25.07 * V + 1300) / 166)
+    w0 = 2.031 + 0.0622 * V + 0.001807 * V**2
+    i = [-2, -18, 3, 6, 20, 2][sum(s >= edge for edge in (250, 600, 1000, 1400, 1650))]
+    return (u * (F if u >= 0 else B) - mass * 9.81 * 1e-3 * (w0 + i)) / (mass * 1.06)
+
+
+def test_the_first_variant_is_switching_and_all_eight_are_there():
+    assert tuple(load("ningbo-metro").variants) == (
+        "switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
+
+
+def test_the_model_is_the_page_s_and_honours_portions():
+    rng = np.random.default_rng(0)
+    s, v, u = rng.uniform(0, 1900, 300), rng.uniform(0, 21.6, 300), rng.uniform(-1, 1, 300)
+    model = setting().design_model({}, np.zeros((2, 300)))
+    a = np.array([page_acceleration(*each) for each in zip(s, v, u, strict=True)])
+    for portion in (1.0, 0.5, rng.uniform(0.1, 1.0, 300)):
+        h = 0.2 * portion
+        expected = np.array([s + h * v + h**2 * a / 2, v + h * a])
+        # the source's curves leave a step of 0.1 % of the force where they begin; here they are cut at one instead
+        assert np.allclose(model.transition(np.array([s, v]), u[None], 0, portion), expected, atol=2e-4, rtol=0)
+    points = rng.uniform(0, 20, (2, 5, 300))
+    together = model.transition(points, u[None], 0, 1.0)
+    for p in range(5):
+        assert np.array_equal(together[:, p], model.transition(points[:, p], u[None], 0, 1.0))
+
+
+def test_the_jacobian_is_the_derivative_of_the_transition():
+    rng = np.random.default_rng(1)
+    v = np.concatenate([rng.uniform(1, 14, 100), rng.uniform(14.5, 21.2, 100)])
+    x, u, e = np.array([rng.uniform(260, 590, 200), v]), rng.uniform(-1, 1, (1, 200)), 1e-5
+    model = setting().design_model({}, x)
+    for j in range(2):
+        d = np.zeros((2, 1))
+        d[j] = e
+        slope = (model.transition(x + d, u, 0, 1.0) - model.transition(x - d, u, 0, 1.0)) / (2 * e)
+        assert np.allclose(model.transition_jacobian(x, u, 0, 1.0)[:, j], slope, atol=1e-7)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_truth_follows_the_model_and_keeps_the_bounds(variant):
+    w = world(variant, range(20))
+    model = setting(variant).design_model({}, w.initial_mean)
+    bounds = model.bounds
+    assert bounds is not None
+    before = np.concatenate([np.array([[[0.0], [0.5]]]) + np.zeros((1, 2, 20)), w.truth[:-1]])
+    for k in range(0, w.steps, 7):
+        moved = model.transition(before[k], w.u[k], k, 1.0)
+        acted = bounds.G * w.extra["disturbance"][k]
+        assert np.allclose(moved + acted, w.truth[k], atol=1e-9)
+    noise = np.abs(w.y - w.truth)
+    if variant == "gaussian":
+        assert np.allclose((noise**2).mean((0, 2)), np.square(bounds.v_bar) / 9, rtol=0.06)
+        assert np.isclose(np.square(w.extra["disturbance"][:500]).mean(), 0.15**2 / 9, rtol=0.06)
+    else:
+        assert np.abs(w.extra["disturbance"]).max() <= bounds.w_bar[0]
+        assert (noise <= bounds.v_bar[None, :, None]).all()
+        assert noise.max() > 0.9
+    assert np.abs(w.initial_mean - [[0.0], [0.5]]).max(1) == pytest.approx([2.0, 0.3], rel=0.25)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_trips_end_at_the_stop_in_about_two_minutes(variant):
+    w = world(variant, range(20))
+    seconds = 0.2 * w.active.sum(0)
+    assert ((seconds > 110) & (seconds < 130)).all()
+    assert np.abs(w.truth[-1, 0] - 1900).max() < 3
+    assert (w.truth[:, 1] <= w.extra["speed-limit"]).all()
+    assert (w.truth[:, 1] >= 0).all()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_run_does_not_depend_on_its_batch(variant):
+    whole = world(variant, range(7))
+    for runs in ([3], [6, 2, 3]):
+        part = world(variant, runs)
+        for name in ("truth", "u", "y", "received", "active"):
+            assert np.array_equal(getattr(part, name), getattr(whole, name)[..., runs]), name
+        assert np.array_equal(part.initial_mean, whole.initial_mean[:, runs])
+
+
+def test_the_model_does_not_depend_on_the_batch():
+    rng = np.random.default_rng(2)
+    x, u = rng.uniform(0, 21, (2, 1000)), rng.uniform(-1, 1, (1, 1000))
+    Pi = np.repeat(np.diag([1.0, 0.04])[:, :, None], 1000, 2)
+    whole = setting().design_model({}, x)
+    assert whole.bounds and whole.bounds.kappa and whole.transition_jacobian
+    for part in (slice(0, 1), slice(3, 10)):
+        model = setting().design_model({}, x[:, part])
+        assert model.bounds and model.bounds.kappa and model.transition_jacobian
+        for name in ("transition", "transition_jacobian"):
+            one, all_ = (getattr(m, name) for m in (model, whole))
+            assert np.array_equal(one(x[:, part], u[:, part], 0, 1.0), all_(x, u, 0, 1.0)[..., part])
+        kappa = model.bounds.kappa(x[:, part], u[:, part], Pi[:, :, part])
+        assert np.array_equal(kappa, whole.bounds.kappa(x, u, Pi)[part])
+
+
+def test_kappa_is_the_largest_change_of_the_speed_derivative():
+    v, u = np.array([[100.0, 100.0], [15.0, 18.0]]), np.array([[0.8, -0.4]])
+    model = setting().design_model({}, v)
+    Pi = np.repeat(np.diag([1.0, 0.09])[:, :, None], 2, 2)
+    assert model.bounds and model.bounds.kappa
+
+    def derivative(speed, r):
+        e = 1e-5
+        up, down = (page_acceleration(100.0, speed + d, u[0, r]) for d in (e, -e))
+        return (up - down) / (2 * e)
+
+    expected = [0.2 * max(abs(derivative(v[1, r] + q * 0.3, r) - derivative(v[1, r], r)) for q in (-1, -.5, .5, 1))
+                for r in range(2)]
+    assert model.bounds.kappa(v, u, Pi) == pytest.approx(expected, rel=1e-4)
+    fixed = setting().design_model({"kappa": 0.01}, v)
+    assert fixed.bounds and fixed.bounds.kappa
+    assert np.array_equal(fixed.bounds.kappa(v, u, Pi), [0.01, 0.01])
+
+
+def textbook_ekf(w, model):
+    """Mean squared error of each run (2, S) of a plain extended Kalman filter, from 5 s on."""
+    x, P = w.initial_mean, np.repeat(model.initial_covariance, w.initial_mean.shape[1], 2).transpose(2, 0, 1)
+    R, Q = model.measurement_covariance(0)[:, :, 0], model.process_covariance(None, None, 0, 1.0)[:, :, 0]
+    total, count = np.zeros_like(x), np.zeros(x.shape[1])
+    for k in range(w.steps):
+        F = model.transition_jacobian(x, w.u[k], k, 1.0).transpose(2, 0, 1)
+        x, P = model.transition(x, w.u[k], k, 1.0), F @ P @ F.transpose(0, 2, 1) + Q
+        K = P @ np.linalg.inv(P + R)
+        x, P = x + np.einsum("sij,js->is", K, w.y[k] - x), P - K @ P
+        if k >= 25:
+            total += np.where(w.active[k], (x - w.truth[k]) ** 2, 0)
+            count += w.active[k]
+    return total / count
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_errors_of_the_kalman_filter_are_the_page_s(variant):
+    w = world(variant, range(100))
+    for knowledge, expected in zip(({}, {"sigma_w": 0.02}, {"sigma_w": 0.3}), EXPECTED[variant], strict=True):
+        square = textbook_ekf(w, setting(variant).design_model(knowledge, w.initial_mean))
+        rmse = np.sqrt(square.mean(1))
+        error = square.std(1, ddof=1) / 10 / (2 * rmse)  # delta method
+        # the page's numbers have the same Monte Carlo error (100 runs) and are rounded to 0.001 (0.01 above one)
+        rounding = 0.0005 if expected[0] < 1 else 0.005
+        assert (np.abs(rmse - expected) <= 3 * 2**0.5 * error + rounding).all(), (rmse, expected, error)
+
+
+def test_moments_told_to_the_estimators():
+    start = np.zeros((2, 1))
+    matched, naive = setting().design_model({}, start), setting().design_model({"sigma_w": 0.02}, start)
+    gaussian = setting("gaussian").design_model({}, start)
+    gamma = np.array([0.02, 0.2])
+    for model, variance in ((matched, 0.15**2 / 3), (naive, 0.02**2), (gaussian, 0.15**2 / 9)):
+        assert model.process_covariance and model.measurement_covariance
+        assert np.allclose(model.process_covariance(start, start, 0, 1.0)[:, :, 0], variance * np.outer(gamma, gamma))
+        half = np.array([0.005, 0.1])
+        assert np.allclose(model.process_covariance(start, start, 0, 0.5)[:, :, 0], variance * np.outer(half, half))
+    assert np.allclose(matched.initial_covariance[:, :, 0], np.diag([4, 0.09]))
+
+
+def test_packets_can_be_lost():
+    lossy = setting("white", channel={"kind": "bernoulli", "p": 0.7})
+    received = lossy.world(Streams(1, "ningbo-metro", "white", range(20))).received
+    assert received.mean() == pytest.approx(0.7, abs=4 * (0.7 * 0.3 / (20 * 700)) ** 0.5)
+
+
+@pytest.mark.parametrize(("key", "value", "message"), [
+    ("disturbance.form", "red", "disturbance.form"),
+    ("disturbance.w_bar", -1.0, "disturbance.w_bar"),
+    ("disturbance.piece", [5.0, 1.0], "least <= most"),
+    ("sensors.v_bar", [1.0], "sensors.v_bar"),
+    ("plant.weight", 3.0, "plant.weight: unknown key"),
+    ("knowledge.sigma_w", -0.1, "knowledge.sigma_w"),
+    ("plant.controller.margin", 30.0, "plant.controller.margin"),
+    ("plant.train.max_traction", 2e4, "cannot climb"),
+    ("plant.controller.braking", 2.0, "cannot brake at 2"),
+])
+def test_mistakes_are_named(key, value, message):
+    with pytest.raises(InputError, match=message):
+        load("ningbo-metro", {key: value})
