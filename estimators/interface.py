@@ -111,7 +111,9 @@ class Estimator(ABC):
 
     @abstractmethod
     def predict(self, u: Array, portion: Portion) -> None:
-        """Go `portion` sampling periods ahead with input u (nu, S). portion: a number or one per run (S,)."""
+        """Go `portion` sampling periods ahead with input u (nu, S). portion: a number or one per run (S,).
+
+        A run whose portion is 0 stays exactly as it is, random stream included: other runs' events change no bit."""
 
     @abstractmethod
     def update(self, y: Array, received: Mask) -> None:
@@ -123,6 +125,10 @@ class Estimator(ABC):
 
     def counters(self) -> dict[str, Array]:
         """Work done so far where it says more than seconds: {"kalman-updates": (S,)}. Reported per step."""
+        return {}
+
+    def extremes(self) -> dict[str, Array]:
+        """Largest values so far of quantities that a theory bounds: {"contraction": (S,)}. Reported as they end."""
         return {}
 
 

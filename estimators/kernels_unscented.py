@@ -74,16 +74,15 @@ def sigma_points(mean, covariance, scale, points, deviations, failed):
 
 
 @kernel
-def unscented_predict(moved, weights_mean, weights_covariance, q, scale, redraw, mean, covariance, points, deviations,
-                      failed):
+def unscented_predict(moved, index, weights_mean, weights_covariance, q, scale, redraw, mean, covariance, points,
+                      deviations, failed):
     """Moments of the propagated sigma points, and fresh points for them. Returns how many runs failed here.
 
-    moved (nx, m, S): transition of the points. mean (nx, S) and covariance (nx, nx, S) := their weighted moments plus
-    q (nx, nx, S or 1). redraw: points and deviations (nx, m, S) are drawn anew from them; otherwise points are left
-    alone and deviations are those of `moved`."""
-    n, m, runs = moved.shape
-    wide = tile_width(n, runs)
-    index = np.arange(runs)
+    index: the runs to predict; the others are not touched. moved (nx, m, S): transition of the points. mean (nx, S) and
+    covariance (nx, nx, S) := their weighted moments plus q (nx, nx, S or 1). redraw: points and deviations (nx, m, S)
+    are drawn anew from them; otherwise points are left alone and deviations are those of `moved`."""
+    n, m, runs = moved.shape[0], moved.shape[1], len(index)
+    wide = max(1, tile_width(n, runs))
     x, p = np.empty((n, wide)), np.empty((n, n, wide))
     noise = np.empty((n, n, 1 if q.shape[2] == 1 else wide))
     cloud, fresh = np.empty((n, m, wide)), np.empty((n, m, wide))

@@ -8,6 +8,7 @@ from abc import abstractmethod
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..scenarios.errors import Infeasible
@@ -63,8 +64,9 @@ class SigmaPointKalman(Estimator):
         if self._unspread is not self._nothing:
             self._draw()
         moved = np.ascontiguousarray(model.transition(self._points, u, self._k, portion))
-        if unscented_predict(moved, self._weights_mean, self._weights_covariance, q, self._scale, self.redraw,
-                             self._mean, self._covariance, self._points, self._deviations, self._failed):
+        if unscented_predict(moved, _moving(portion, self.runs), self._weights_mean, self._weights_covariance, q,
+                             self._scale, self.redraw, self._mean, self._covariance, self._points, self._deviations,
+                             self._failed):
             flag(self, self._failed, Status.failed, LOST)
         if not self.redraw:
             self._points, self._unspread = moved, q
@@ -89,6 +91,11 @@ class SigmaPointKalman(Estimator):
         if sigma_points(self._mean, self._covariance, self._scale, self._points, self._deviations, self._failed):
             flag(self, self._failed, Status.failed, LOST)
         self._unspread = self._nothing
+
+
+def _moving(portion: Portion, runs: int) -> NDArray[np.int64]:
+    """The runs that go ahead at all: drawing points anew would change the last bits of the others."""
+    return np.flatnonzero(np.broadcast_to(portion, (runs,)))
 
 
 class UnscentedKalman(SigmaPointKalman):
