@@ -48,7 +48,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     estimate = estimator.estimate()
     seconds += perf_counter() - begun
     mean = estimate.mean
-    driven, active, counts = 0, np.zeros(runs), dict[str, Array]()
+    driven, active, counts, extremes = 0, np.zeros(runs), dict[str, Array](), dict[str, Array]()
     for k in range(world.steps):
         step = world.step(k, mean)
         if not step.active.any():
@@ -80,10 +80,13 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
         active += step.active
         for name, count in estimator.counters().items():
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)
+        for name, value in estimator.extremes().items():
+            np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
     scored = scorer.finish(estimator.status, estimator.reason)
     bad = scored.status != 0
     outcomes = dict(setting.outcomes(world, scored.metrics))
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
+    outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}
     return Driven(scored, outcomes, seconds, driven, world)
 

@@ -39,7 +39,9 @@ class Bounds:
 
     G (nx, nw), w_bar (nw,), v_bar (ny,). Linearisation error f(x) - f(x^) = (A + M Delta N) e with |Delta| <= 1,
     M (nx, 1), N (1, nx) without its factor kappa; `kappa(x, u, Pi)` gives that factor, shape (S,), from the estimate
-    (nx, S), input (nu, S) and the error bound's shape matrix Pi (nx, nx, S). None: the plant is linear."""
+    (nx, S), input (nu, S) and the error bound's shape matrix Pi (nx, nx, S). None: the plant is linear.
+    v_bar_i infinite: sensor i has no bound. `part(portion)`: G of a part of a step, (nx, nw, S or 1); None: G, M and N
+    hold for whole steps only."""
 
     G: Array
     w_bar: Array
@@ -47,6 +49,7 @@ class Bounds:
     M: Array | None = None
     N: Array | None = None
     kappa: Callable[[Array, Array, Array], Array] | None = None
+    part: Callable[[Portion], Array] | None = None
 
 
 @dataclass(frozen=True)
