@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pandas as pd
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -24,13 +25,14 @@ def console() -> Console:
 def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = (), to: Console | None = None) -> None:
     """Print a table; text columns to the left, numbers to the right."""
     out = to or console()
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=escape(title) or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
+                  pad_edge=False)
     for column in frame.columns:
         values = [str(value) for value in frame[column]]
         numeric = all(value[:1] in "0123456789-+." or not value for value in values)
-        table.add_column(str(column), justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
+        table.add_column(escape(str(column)), justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
     for row in frame.itertuples(index=False):
-        table.add_row(*("" if pd.isna(value) else str(value) for value in row))
+        table.add_row(*("" if pd.isna(value) else escape(str(value)) for value in row))
     out.print(table)
     for note in notes:
         out.print(f"  {note}", style="dim", highlight=False, markup=False)

@@ -143,8 +143,8 @@ def _cell(scenario: Scenario, variant: str, only: Sequence[str], loose: Sequence
                                      f"{', '.join(known)}")
     else:
         entries = {label: entry for label, entry in config.estimators.items() if entry.default}
-    for name in loose:
-        entries.setdefault(name, EstimatorEntry(plugin=name))
+        for name in loose:
+            entries.setdefault(name, EstimatorEntry(plugin=name))
     for label, entry in entries.items():
         cls = estimator_class(entry.plugin, f"{scenario.where}: estimators.{label}.plugin")
         try:

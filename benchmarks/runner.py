@@ -8,7 +8,6 @@ import hashlib
 import multiprocessing
 import os
 import signal
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
@@ -52,9 +51,13 @@ def run(plan: Plan, store: Store, machinery: Machinery, report: Callable[[Task],
             keep(result)
             del left[number]
     except _Lost:
-        for number in left:
-            for result in _isolated(tasks[number], machinery.timeout):
-                keep(result)
+        process = _Isolation(machinery.timeout)
+        try:
+            for number in left:
+                for result in _isolated(tasks[number], process):
+                    keep(result)
+        finally:
+            process.close()
 
 
 class _Lost(Exception):
@@ -78,7 +81,7 @@ def _parallel(tasks: list[Task], machinery: Machinery) -> Iterator[tuple[int, Re
         try:
             results: Iterable[Any] = parallel(joblib.delayed(_numbered)(n, task) for n, task in enumerate(tasks))
             yield from results
-        except (TerminatedWorkerError, BrokenProcessPool, TimeoutError, FutureTimeout) as error:
+        except (TerminatedWorkerError, BrokenProcessPool, TimeoutError, multiprocessing.TimeoutError) as error:
             if machinery.backend == "local":
                 joblib.externals.loky.get_reusable_executor().shutdown(wait=False, kill_workers=True)
             raise _Lost from error
@@ -120,34 +123,51 @@ def _backend(machinery: Machinery) -> Iterator[dict[str, Any]]:
     raise InputError(f"--backend {machinery.backend}: unknown; allowed: local, dask, ray")
 
 
-def _isolated(task: Task, timeout: float) -> Iterator[Result]:
+class _Isolation:
+    """One process of its own, replaced when it dies or hangs."""
+
+    def __init__(self, timeout: float) -> None:
+        self.timeout, self._pool = timeout, None
+
+    def execute(self, task: Task) -> Result | tuple[Status, str]:
+        """The task's result, or how its process ended."""
+        self._pool = self._pool or ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        future = self._pool.submit(execute, task)
+        try:
+            return future.result(self.timeout)
+        except BrokenProcessPool:
+            ended = Status.crashed, "the process running it died"
+        except FutureTimeout:
+            ended = Status.timeout, f"did not finish within {self.timeout:g} s"
+        self.close()
+        return ended
+
+    def close(self) -> None:
+        """Kill the process, whatever it is doing."""
+        if self._pool is not None:
+            for process in list((getattr(self._pool, "_processes", None) or {}).values()):
+                if process.is_alive():
+                    os.kill(process.pid, signal.SIGKILL)
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+def _isolated(task: Task, process: _Isolation) -> Iterator[Result]:
     """Execute a task in a process of its own; where that dies or hangs, one estimator at a time, then halves."""
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(1, mp_context=context)
-    future = pool.submit(execute, task)
-    try:
-        yield future.result(timeout)
+    ended = process.execute(task)
+    if isinstance(ended, Result):
+        yield ended
         return
-    except BrokenProcessPool:
-        status, reason = Status.crashed, "the process running it died"
-    except FutureTimeout:
-        status, reason = Status.timeout, f"did not finish within {timeout:g} s"
-    finally:
-        for process in list((getattr(pool, "_processes", None) or {}).values()):
-            if process.is_alive() and not future.done():
-                os.kill(process.pid, signal.SIGKILL)
-        pool.shutdown(wait=False, cancel_futures=True)
     if len(task.labels) > 1:
         parts = [replace(task, labels=(label,)) for label in task.labels]
     elif len(task.runs) > 1:
         half = len(task.runs) // 2
         parts = [replace(task, runs=task.runs[:half]), replace(task, runs=task.runs[half:])]
     else:
-        print(f"{task.cell.key}/{task.labels[0]}/{task.runs[0]}: {status.name}: {reason}", file=sys.stderr)
-        yield failed_rows(task, status, reason)
+        yield failed_rows(task, *ended)
         return
     for part in parts:
-        yield from _isolated(part, timeout)
+        yield from _isolated(part, process)
 
 
 def _stem(task: Task) -> str:

@@ -109,5 +109,6 @@ def to_latex(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{clean(title)}}}", rf"\begin{{tabular}}{{{spec}}}",
              r"\toprule", " & ".join(clean(c) for c in frame.columns) + r" \\", r"\midrule"]
     lines += [" & ".join(clean(value) for value in row) + r" \\" for row in frame.to_numpy()]
-    lines += [r"\bottomrule", r"\end{tabular}", *(rf"\par\footnotesize {clean(note)}" for note in notes), r"\end{table}"]
+    lines += [r"\bottomrule", r"\end{tabular}", *(rf"\par\footnotesize {clean(note)}" for note in notes)]
+    lines += [r"\end{table}"]
     return "\n".join(lines) + "\n"

@@ -16,7 +16,8 @@ Seed = Annotated[int, typer.Option(help="Root seed; the same seed gives bit-iden
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes (0: all cores). Does not change a row.")]
 Sets = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE",
                                          help="Override a key of the scenario file, such as channel.p=0.3.")]
-Plugins = Annotated[list[str], typer.Option("--plugin", metavar="FILE.py", help="Use estimator classes of a loose file.")]
+Plugins = Annotated[list[str], typer.Option("--plugin", metavar="FILE.py",
+                                            help="Use estimator classes of a loose file.")]
 
 
 def words(text: str) -> list[str]:

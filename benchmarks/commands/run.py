@@ -19,7 +19,7 @@ from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, overrides, wor
 
 def run(
     scenarios: Annotated[list[str] | None, typer.Argument(
-        metavar="[SCENARIO ...]", help="Built-in name, NAME/VARIANT, or a TOML file; none: every built-in one.")] = None,
+        metavar="[SCENARIO ...]", help="Built-in name, NAME/VARIANT, or a TOML file; none: all built-in.")] = None,
     estimators: Estimators = "",
     runs: Runs = 100,
     seed: Seed = 1,

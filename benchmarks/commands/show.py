@@ -74,8 +74,8 @@ def schema() -> None:
 
 
 def _show_estimator(name: str, cls: type[Estimator]) -> None:
-    print(f"{name}: {cls.summary}\nsource: {cls.source or '-'}\nneeds: {', '.join(cls.needs) or 'nothing beyond f and h'}"
-          f"\nclaims: {', '.join(('mean', *cls.claims))}")
+    print(f"{name}: {cls.summary}\nsource: {cls.source or '-'}\nneeds: "
+          f"{', '.join(cls.needs) or 'nothing beyond f and h'}\nclaims: {', '.join(('mean', *cls.claims))}")
     if cls.__doc__:
         print(f"\n{cls.__doc__.strip()}\n")
     fields = [{"parameter": key, "default": "required" if field.is_required() else json.dumps(field.default),

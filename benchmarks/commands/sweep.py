@@ -16,7 +16,7 @@ import typer
 from ...scenarios.errors import InputError
 from ..batch import as_csv, complete
 from ..console import print_table
-from ..plan import Plan, find, make_plan
+from ..plan import find, make_plan
 from ..runner import Machinery
 from ..store import Store
 from ..summary import summarise
@@ -36,55 +36,59 @@ def sweep(
     plugin: Plugins = [],  # noqa: B006
 ) -> None:
     """Run a scenario (its default variant unless one is named) at each value of a key."""
-    axes = [_axis(text) for text in over]
-    found, variants = find(scenario, overrides(set_))
+    axes = dict(_axis(text) for text in over)
+    fixed = overrides(set_)
+    found, variants = find(scenario, fixed)
     name = scenario if len(variants) == 1 else f"{scenario}/{variants[0]}"
-    points: list[tuple[dict[str, Any], Plan]] = []
-    for values in itertools.product(*(options for _, options in axes)):
-        point = dict(zip((key for key, _ in axes), values, strict=True))
-        plan = make_plan([name], only=words(estimators), runs=runs, seed=seed, overrides={**overrides(set_), **point},
-                         plugins=plugin)
-        points.append((point, plan))
-    folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key, _ in axes)}")
+    folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key in axes)}")
+    points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+    plans = [make_plan([name], only=words(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
+                       plugins=plugin) for point in points]
+    machinery = Machinery(jobs or os.cpu_count() or 1)
     command = shlex.join(["railstate", *sys.argv[1:]])
-    frames, failures = [], []
-    for point, plan in points:
+    summaries: list[pd.DataFrame] = []
+    reasons: dict[tuple[str, ...], dict[str, str]] = {}
+    shown: list[tuple[str, str]] = []
+    for point, plan in zip(points, plans, strict=True):
         label = ",".join(f"{key}={_plain(item)}" for key, item in point.items())
-        store = complete(plan, folder / label.replace("/", "_"), Machinery(jobs or os.cpu_count() or 1), command,
-                         timing=False)
+        store = complete(plan, folder / label.replace("/", "_"), machinery, command, timing=False)
         rows = store.rows()
         summary = summarise(rows)
         for key, item in reversed(point.items()):
             summary.insert(0, key, _plain(item))
-        frames.append(summary)
-        failures += _failures(rows, label)
-        shown = [tuple(pair) for pair in store.manifest()["scenarios"][found.name]["table"]]
-    table = pd.concat(frames, ignore_index=True)
+        summaries.append(summary)
+        reasons[tuple(_plain(item) for item in point.values())] = _reasons(rows)
+        shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
+    table = pd.concat(summaries, ignore_index=True)
     Store(folder).write_text("sweep.csv", as_csv(table))
-    wanted = [tuple(item.split(":", 1)) for item in words(metric)] or shown
-    keys = [key for key, _ in axes]
     plots = 0
-    for pair in wanted:
-        part = table[(table["metric"] == pair[0]) & (table["quantity"] == pair[1])] if len(pair) == 2 else table[:0]
-        if part.empty:
-            if metric:
-                known = sorted({f"{a}:{b}" for a, b in zip(table["metric"], table["quantity"], strict=True)})
-                raise InputError(f"--metric {':'.join(pair)}: not among the metrics here: {', '.join(known)}")
-            continue
-        unit = part["unit"].iloc[0]
-        cells = part.assign(cell=[f"{m:.4g} ±{s:.2g}" for m, s in zip(part["mean"], part["standard_error"], strict=True)])
-        wide = cells.pivot_table(index=keys, columns="estimator", values="cell", aggfunc="first", sort=False)
-        wide = wide.reindex(columns=list(dict.fromkeys(table["estimator"]))).reset_index()
-        for point, estimator, reason in failures:
-            here = wide[keys].astype(str).agg(",".join, axis=1) == ",".join(p.split("=", 1)[1] for p in point.split(","))
-            wide[estimator] = wide.get(estimator, pd.Series("", index=wide.index)).astype(object)
-            wide.loc[here & wide[estimator].isna(), estimator] = reason
-        print_table(f"{name}: {' '.join(pair)} [{unit}]", wide.fillna(""))
-        plots += _plot(folder, part, keys[0], f"{pair[0]} {pair[1]}", unit) if len(keys) == 1 else 0
-    for point, estimator, reason in failures:
-        print(f"{point}: {estimator}: {reason}")
-    print(f"{sum(len(f) for f in frames)} summary lines in {folder / 'sweep.csv'}"
-          + (f", {plots} plots beside it" if plots else ""))
+    for pair in _wanted(metric, table) or shown:
+        part = table[(table["metric"] == pair[0]) & (table["quantity"] == pair[1])]
+        if not part.empty:
+            unit = part["unit"].iloc[0]
+            print_table(f"{name}: {' '.join(pair)}" + ("" if unit == "1" else f" [{unit}]"),
+                        _grid(part, list(axes), reasons))
+            plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit) if len(axes) == 1 else 0
+    print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
+
+
+def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:
+    """The metrics asked for. Raises InputError for one that is not there."""
+    known = sorted({f"{a}:{b}" for a, b in zip(table["metric"], table["quantity"], strict=True)})
+    for item in words(metric):
+        if item not in known:
+            raise InputError(f"--metric {item}: not among the metrics here: {', '.join(known)}")
+    return [(a, b) for a, _, b in (item.partition(":") for item in words(metric))]
+
+
+def _grid(part: pd.DataFrame, keys: list[str], reasons: dict[tuple[str, ...], dict[str, str]]) -> pd.DataFrame:
+    """A line per swept point, a column per estimator: mean and standard error, or why there is no number."""
+    names = list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))
+    found = {(tuple(line[key] for key in keys), line["estimator"]):
+             f"{line['mean']:.4g} ±{line['standard_error']:.2g}" for line in part.to_dict("records")}
+    return pd.DataFrame([
+        {**dict(zip(keys, point, strict=True)),
+         **{name: found.get((point, name), reasons[point].get(name, "")) for name in names}} for point in reasons])
 
 
 def _axis(text: str) -> tuple[str, list[Any]]:
@@ -99,12 +103,12 @@ def _plain(item: Any) -> Any:
     return json.dumps(item) if isinstance(item, list | dict) else item
 
 
-def _failures(rows: pd.DataFrame, label: str) -> list[tuple[str, str, str]]:
-    """(point, estimator, `status: reason`) of estimators without a single good run at this point."""
-    out = []
+def _reasons(rows: pd.DataFrame) -> dict[str, str]:
+    """Estimator -> why it has no number at this point (status and reason), empty where it has one."""
+    out: dict[str, str] = {}
     for estimator, part in rows.groupby("estimator", sort=False):
-        if not (part["status"] == "ok").any():
-            out.append((label, str(estimator), f"{part['status'].iloc[0]}: {part['reason'].iloc[0]}"))
+        good = (part["status"] == "ok").any()
+        out[str(estimator)] = "" if good else f"{part['status'].iloc[0]}: {part['reason'].iloc[0]}"
     return out
 
 

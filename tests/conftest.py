@@ -1,0 +1,133 @@
+"""Shared fixtures: the command line driven in a temporary folder, and a throw-away scenario with loose estimators."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from railstate.benchmarks import cli
+
+SCENARIO = """
+name = "cart"
+title = "a cart on a line, for tests"
+[time]
+period = 1.0
+steps = 40
+[plant]
+kind = "linear"
+A = [[1, 1], [0, 1]]
+B = [[0.5], [1]]
+C = [[1, 0]]
+Q = [[0.01]]
+R = [[1]]
+x0 = [0, 1]
+P0 = [[1, 0], [0, 0.01]]
+states = ["position", "speed"]
+units = ["m", "m/s"]
+[channel]
+kind = "bernoulli"
+p = 0.8
+[estimators.half]
+plugin = "half"
+[variants.calm]
+title = "calm"
+[variants.rough.plant]
+Q = [[1.0]]
+"""
+
+PLUGIN = '''
+"""A fixed-gain filter and misbehaving relatives; `RUN` is what a run's own stream draws first."""
+import os, time
+import numpy as np
+from railstate.estimators.interface import Estimate, Estimator
+
+
+class Half(Estimator):
+    summary = "gain one half"
+
+    def start(self, model, runs, random):
+        super().start(model, runs, random)
+        self.x = model.initial_mean.copy()
+        self.numbers = np.array(random.runs)
+        self.noise = random.normal(1)[0]
+
+    def predict(self, u, portion):
+        self.x = np.stack([self.x[0] + portion * self.x[1], self.x[1]])
+
+    def update(self, y, received):
+        innovation = np.where(received[0], y[0] - self.x[0], 0.0)
+        self.x = self.x + np.stack([0.5 * innovation, 0.1 * innovation])
+
+    def estimate(self):
+        return Estimate(self.x + 1e-9 * self.noise)
+
+
+class Raises(Half):
+    def update(self, y, received):
+        super().update(y, received)
+        if (self.numbers == 3).any():
+            raise ArithmeticError("run 3 is not for me")
+
+
+class Wanders(Half):
+    def estimate(self):
+        return Estimate(np.where(self.numbers == 2, np.nan, self.x))
+
+
+class Dies(Half):
+    def update(self, y, received):
+        super().update(y, received)
+        if (self.numbers == 5).any():
+            os._exit(3)
+
+
+class Hangs(Half):
+    def update(self, y, received):
+        super().update(y, received)
+        if (self.numbers == 1).any():
+            time.sleep(1000)
+
+
+class Slow(Half):
+    def update(self, y, received):
+        super().update(y, received)
+        time.sleep(0.01)
+'''
+
+
+@dataclass
+class Outcome:
+    """What a command did."""
+
+    code: int
+    out: str
+    err: str
+
+
+class Command:
+    """Runs `railstate ARGS` in this process, in a temporary folder."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+        self.folder, self.monkeypatch, self.capfd = folder, monkeypatch, capfd
+
+    def __call__(self, *words: str | Path | int) -> Outcome:
+        self.monkeypatch.setattr(sys, "argv", ["railstate", *map(str, words)])
+        self.capfd.readouterr()
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else int(error.code is not None)
+        captured = self.capfd.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+
+@pytest.fixture
+def railstate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
+    """The command line, in a temporary folder that holds cart.toml and half.py."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cart.toml").write_text(SCENARIO)
+    (tmp_path / "half.py").write_text(PLUGIN)
+    return Command(tmp_path, monkeypatch, capfd)

@@ -1,0 +1,187 @@
+"""`railstate run`, `replay`: files written, reproducibility to the last bit, failures as rows, resumption."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from railstate.benchmarks.batch import Store
+from railstate.benchmarks.latency import COLUMNS as TIMING
+from railstate.benchmarks.summary import COLUMNS as SUMMARY
+
+from .conftest import Command
+
+CART = ("run", "cart.toml", "--plugin", "half.py")
+
+
+def rows(folder: Path | str) -> pd.DataFrame:
+    """The rows of a folder without the one column that measures time."""
+    frame = Store(folder).rows().drop(columns="seconds")
+    return frame.sort_values(["scenario", "variant", "estimator", "run"]).reset_index(drop=True)
+
+
+def same(a: pd.DataFrame, b: pd.DataFrame) -> None:
+    """Bit for bit, whatever the order of the columns."""
+    pd.testing.assert_frame_equal(a, b[a.columns.tolist()], check_exact=True)
+
+
+def test_files_and_their_columns(railstate: Command) -> None:
+    done = railstate(*CART, "--estimators", "half", "--runs", 12, "--out", "out", "--keep", 2)
+    assert done.code == 0, done.err
+    out = railstate.folder / "out"
+    frame = Store(out).rows()
+    assert len(frame) == 24 and set(frame["status"]) == {"ok"}
+    assert {"rmse:position:m", "mae:speed:m/s", "max:position:m"} <= set(frame.columns)
+    summary, timing = pd.read_csv(out / "summary.csv"), pd.read_csv(out / "timing.csv")
+    assert tuple(summary.columns) == SUMMARY and tuple(timing.columns) == TIMING
+    assert (timing["latency_us_p99"] >= timing["latency_us_median"]).all() and (timing["throughput_ns"] > 0).all()
+    part = frame[frame["variant"] == "rough"]["rmse:position:m"].to_numpy()
+    line = summary.query("variant == 'rough' and metric == 'rmse' and quantity == 'position'").iloc[0]
+    assert line["mean"] == pytest.approx(np.sqrt(np.mean(part**2)), rel=1e-12) and line["runs"] == 12
+    assert (out / "tables" / "cart~calm.md").read_text().startswith("## cart/calm")
+    assert r"\toprule" in (out / "tables" / "cart~calm.tex").read_text()
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["finished"] and manifest["statuses"] == {"ok": 24}
+    kept = Store(out).trajectories()
+    assert kept is not None and set(kept["run"]) == {0, 1}
+    assert "cart/rough" in done.out and "24 rows: 24 ok" in done.out and done.err == ""
+
+
+@pytest.mark.parametrize("words", [
+    ("--jobs", "2"), ("--batch", "7"), ("--batch", "1000"), ("--jobs", "2", "--batch", "5")], ids=" ".join)
+def test_rows_do_not_depend_on_the_machinery(railstate: Command, words: tuple[str, ...]) -> None:
+    common = (*CART, "--estimators", "half,slow,kalman", "--runs", 20)
+    assert railstate(*common, "--jobs", 1, "--out", "one").code == 0
+    assert railstate(*common, *words, "--out", "two").code == 0
+    same(rows("one"), rows("two"))
+
+
+def test_adding_and_permuting_estimators_moves_nothing(railstate: Command) -> None:
+    railstate(*CART, "--estimators", "half", "--runs", 9, "--out", "one")
+    railstate(*CART, "--estimators", "slow,kalman,half", "--runs", 9, "--out", "more")
+    more = rows("more")
+    same(rows("one"), more[more["estimator"] == "half"].reset_index(drop=True))
+
+
+def test_runs_are_nested(railstate: Command) -> None:
+    railstate(*CART, "--estimators", "half", "--runs", 5, "--out", "few")
+    railstate(*CART, "--estimators", "half", "--runs", 15, "--out", "many")
+    many = rows("many")
+    same(rows("few"), many[many["run"] < 5].reset_index(drop=True))
+
+
+def test_another_seed_is_another_truth(railstate: Command) -> None:
+    railstate(*CART, "--estimators", "half", "--runs", 3, "--out", "one")
+    railstate(*CART, "--estimators", "half", "--runs", 3, "--out", "two", "--seed", 2)
+    assert not np.isclose(rows("one")["rmse:position:m"], rows("two")["rmse:position:m"]).any()
+
+
+def test_a_killed_run_resumes_to_the_same_rows(railstate: Command) -> None:
+    words = [*CART, "--estimators", "slow,half", "--runs", "12", "--batch", "2", "--jobs", "1"]
+    railstate(*words, "--out", "whole")
+    program = [sys.executable, "-c", "from railstate.benchmarks.cli import main; main()"]
+    process = subprocess.Popen([*program, *words, "--out", "killed"], cwd=railstate.folder, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while len(list((railstate.folder / "killed" / "rows").glob("*.parquet"))) < 2:
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    assert 0 < len(rows("killed")) < len(rows("whole"))
+    again = railstate(*words, "--out", "killed")
+    assert again.code == 0, again.err
+    same(rows("whole"), rows("killed"))
+
+
+def test_interrupt_leaves_finished_rows_and_says_how_to_continue(railstate: Command) -> None:
+    words = [*CART, "--estimators", "slow", "--runs", "20", "--batch", "1", "--jobs", "1", "--out", "out"]
+    program = [sys.executable, "-c", "from railstate.benchmarks.cli import main; main()"]
+    process = subprocess.Popen([*program, *words], cwd=railstate.folder, stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
+    while not list((railstate.folder / "out" / "rows").glob("*.parquet")):
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in err and "continues" in err and "Traceback" not in err
+    assert len(rows("out")) >= 1
+
+
+def test_another_configuration_is_refused(railstate: Command) -> None:
+    railstate(*CART, "--estimators", "half", "--runs", 4, "--out", "out")
+    before = rows("out")
+    refused = railstate(*CART, "--estimators", "half", "--runs", 4, "--out", "out", "--seed", 7)
+    assert refused.code == 2 and "seed: 1 -> 7" in refused.err
+    refused = railstate(*CART, "--estimators", "half", "--runs", 4, "--out", "out", "--set", "plant.R=[[4]]")
+    assert refused.code == 2 and "scenario" in refused.err
+    same(before, rows("out"))
+
+
+def test_what_an_estimator_raises_costs_only_its_run(railstate: Command) -> None:
+    done = railstate(*CART, "--estimators", "raises,half,wanders", "--runs", 8, "--out", "out")
+    assert done.code == 0
+    frame = rows("out").set_index(["variant", "estimator", "run"])
+    bad = frame[frame["status"] != "ok"]
+    assert sorted(bad.index) == [(v, e, r) for v in ("calm", "rough") for e, r in (("raises", 3), ("wanders", 2))]
+    assert bad.loc[("calm", "raises", 3), "reason"] == "ArithmeticError: run 3 is not for me"
+    assert bad.loc[("calm", "wanders", 2), "status"] == "diverged"
+    for run in (0, 7):
+        mine, theirs = (frame.loc[("calm", label, run), "rmse:position:m"] for label in ("raises", "half"))
+        assert mine == pytest.approx(theirs, rel=1e-7)  # their own streams differ by 1e-9 m
+    assert "replay: railstate replay cart/calm/raises/3 --out out" in done.out
+    replayed = railstate("replay", "cart/calm/raises/3", "--out", "out")
+    assert replayed.code == 0 and "run 3 is not for me" in replayed.out and "Traceback" in replayed.out
+    fine = railstate("replay", "cart/rough/half/6", "--out", "out")
+    assert "bit-identical to the row in out" in fine.out
+
+
+def test_a_worker_that_dies_costs_only_its_rows(railstate: Command) -> None:
+    done = railstate("run", "cart.toml/calm", "--plugin", "half.py", "--estimators", "half,dies", "--runs", 6,
+                     "--batch", 3, "--jobs", 2, "--out", "out")
+    assert done.code == 0
+    frame = rows("out")
+    bad = frame[frame["status"] != "ok"]
+    assert [tuple(row) for row in bad[["estimator", "run", "status"]].to_numpy()] == [("dies", 5, "crashed")]
+    assert len(frame) == 12
+
+
+def test_a_worker_that_hangs_costs_only_its_rows(railstate: Command) -> None:
+    done = railstate("run", "cart.toml/calm", "--plugin", "half.py", "--estimators", "hangs", "--runs", 3,
+                     "--batch", 1, "--jobs", 2, "--out", "out", "--timeout", 10)
+    assert done.code == 0
+    assert rows("out")["status"].tolist() == ["ok", "timeout", "ok"]
+
+
+def test_dask_cluster_gives_the_same_rows(railstate: Command) -> None:
+    from dask.distributed import LocalCluster
+
+    words = (*CART, "--estimators", "half,kalman", "--runs", 8, "--batch", 4)
+    assert railstate(*words, "--jobs", 1, "--out", "one").code == 0
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        done = railstate(*words, "--backend", "dask", "--scheduler", cluster.scheduler_address, "--out", "cluster")
+    assert done.code == 0, done.err
+    same(rows("one"), rows("cluster"))
+
+
+def test_no_scheduler_is_one_message(railstate: Command) -> None:
+    done = railstate(*CART, "--backend", "dask", "--runs", 2)
+    assert done.code == 2 and "--scheduler" in done.err
+
+
+def test_sweep_writes_rows_table_and_plots(railstate: Command) -> None:
+    done = railstate("sweep", "cart.toml", "--plugin", "half.py", "--over", "channel.p=0.3,0.9", "--runs", 10,
+                     "--estimators", "half,kalman", "--out", "swept")
+    assert done.code == 0, done.err
+    table = pd.read_csv(railstate.folder / "swept" / "sweep.csv")
+    part = table.query("metric == 'rmse' and quantity == 'position' and estimator == 'kalman'").set_index("channel.p")
+    assert part.loc[0.3, "mean"] > part.loc[0.9, "mean"]
+    assert (railstate.folder / "swept" / "rmse-position.svg").stat().st_size > 1000
+    assert "rmse position" in done.out

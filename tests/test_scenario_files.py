@@ -1,0 +1,108 @@
+"""Scenario files: bad ones end in one message each, exit code 2, no traceback; good ones resolve as they say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from railstate.scenarios.files import load, merge
+from railstate.scenarios.registry import scenario_files
+
+from .conftest import SCENARIO, Command
+
+BAD = {
+    "not-toml": ("name = ", "not valid TOML"),
+    "empty": ("", "is empty"),
+    "wrong-type": (SCENARIO.replace("steps = 40", 'steps = "many"'), "time.steps"),
+    "unknown-key": (SCENARIO.replace("period = 1.0", "period = 1.0\nperoid = 2"), "time.peroid: unknown key"),
+    "negative-period": (SCENARIO.replace("period = 1.0", "period = -1.0"), "time.period"),
+    "negative-variance": (SCENARIO.replace("R = [[1]]", "R = [[-1]]"), "plant.R"),
+    "missing": (SCENARIO.replace("R = [[1]]\n", ""), "plant.linear.R: missing"),
+    "probability": (SCENARIO.replace("p = 0.8", "p = 1.8"), "channel.bernoulli.p"),
+    "no-plant": (SCENARIO.replace('kind = "linear"\n', ""), "plant.kind: missing"),
+    "unknown-plant": (SCENARIO.replace('"linear"', '"hovercraft"'), "allowed: "),
+    "unknown-channel": (SCENARIO.replace('"bernoulli"', '"pigeon"'), "channel"),
+    "variant-of-nothing": (SCENARIO + "[variants.more]\n", "variants.more: changes nothing"),
+    "variant-unknown-table": (SCENARIO + "[variants.more.wheels]\nx = 1\n", "unknown key wheels"),
+    "unknown-estimator": (SCENARIO.replace('plugin = "half"', 'plugin = "halve"'), 'no estimator "halve"'),
+    "no-estimators": (SCENARIO.replace('[estimators.half]\nplugin = "half"\n', ""), "estimators: missing"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_file_is_one_message(railstate: Command, name: str) -> None:
+    text, expected = BAD[name]
+    Path(f"{name}.toml").write_text(text)
+    done = railstate("run", f"{name}.toml", "--plugin", "half.py", "--runs", 2, "--out", "out")
+    assert done.code == 2
+    assert done.err.startswith("error: ") and f"{name}.toml" in done.err and expected in done.err
+    assert "Traceback" not in done.err and done.out == ""
+    assert len(done.err.splitlines()) == 1
+    assert not Path("out").exists()
+
+
+def test_all_mistakes_at_once(railstate: Command) -> None:
+    Path("bad.toml").write_text(SCENARIO.replace("period = 1.0", "period = -1").replace("steps = 40", "stebs = 40")
+                                .replace("p = 0.8", "p = 0"))
+    done = railstate("run", "bad.toml", "--plugin", "half.py")
+    assert done.code == 2
+    for expected in ("time.period", "time.steps: missing", "time.stebs: unknown key", "channel.bernoulli.p"):
+        assert sum(expected in line for line in done.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (("run", "nowhere"), "no such scenario and no such file"),
+    (("run", "."), "is a directory"),
+    (("run", "ningbo-metr"), "did you mean ningbo-metro?"),
+    (("run", "cart.toml/steep"), 'there is no variant "steep"; allowed: calm, rough'),
+    (("run", "cart.toml", "--plugin", "half.py", "--estimators", "thirds"), "thirds"),
+    (("run", "cart.toml", "--plugin", "half.py", "--set", "channel.p"), "KEY=VALUE"),
+    (("run", "cart.toml", "--plugin", "half.py", "--set", "channel.q=1"), "channel.bernoulli.q: unknown key"),
+    (("run", "cart.toml", "--plugin", "half.py", "--runs", "0"), "--runs"),
+    (("run", "cart.toml", "--plugin", "none.py"), "no such file"),
+    (("run", "cart.toml", "--plugin", "half.py", "--out", "cart.toml"), "not a results folder"),
+    (("run", "ningbo-metro", "--line", "absent.json"), "no such file"),
+    (("replay", "cart/calm/half"), "expected SCENARIO/VARIANT/ESTIMATOR/RUN"),
+    (("replay", "cart/calm/half/1", "--out", "absent"), "not a results folder"),
+    (("show", "nothing"), "no such scenario"),
+    (("sweep", "cart.toml", "--plugin", "half.py", "--over", "channel.p"), "KEY=V1,V2"),
+], ids=lambda item: " ".join(item) if isinstance(item, tuple) else "")
+def test_bad_words_are_one_message(railstate: Command, words: tuple[str, ...], expected: str) -> None:
+    done = railstate(*words)
+    assert done.code == 2 and expected in done.err and "Traceback" not in done.err
+
+
+def test_a_damaged_part_is_named(railstate: Command) -> None:
+    words = ("run", "cart.toml/calm", "--plugin", "half.py", "--estimators", "half", "--runs", 4, "--out", "out")
+    railstate(*words)
+    part = next(Path("out/rows").glob("*.parquet"))
+    part.write_bytes(part.read_bytes()[:100])
+    done = railstate(*words)
+    assert done.code == 2 and part.name in done.err and "damaged" in done.err
+
+
+@pytest.mark.parametrize("name", sorted(scenario_files()))
+def test_built_in_scenarios_resolve_and_explain_themselves(name: str) -> None:
+    scenario = load(name)
+    assert scenario.name == name
+    for variant in scenario.variants:
+        config = scenario.setting(variant).config
+        assert config.title and config.source
+
+
+def test_list_show_schema(railstate: Command) -> None:
+    listed = railstate("list")
+    assert listed.code == 0 and all(name in listed.out for name in scenario_files())
+    shown = railstate("show", "ningbo-metro/white")
+    assert shown.code == 0 and "disturbance.kind" in shown.out and "ningbo-metro/white" in shown.out
+    estimator = railstate("show", "ukf")
+    assert estimator.code == 0 and "points" in estimator.out and "claims: mean, covariance" in estimator.out
+    schema = json.loads(railstate("schema").out)
+    assert {"$ref": "#/$defs/metro"} in schema["anyOf"]
+
+
+def test_merge_replaces_a_table_of_another_kind() -> None:
+    base = {"channel": {"kind": "csma", "p": 0.5, "trains": 2}, "plant": {"mass": 1, "length": 2}}
+    merged = merge(base, {"channel": {"kind": "bernoulli", "p": 0.9}, "plant": {"mass": 3}})
+    assert merged == {"channel": {"kind": "bernoulli", "p": 0.9}, "plant": {"mass": 3, "length": 2}}
