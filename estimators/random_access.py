@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,22 +27,62 @@ def predicted_covariance(linear: Linear, P: Array, k: int) -> Array:
     return A @ P @ A.T + linear.Q(k)
 
 
-def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -> tuple[tuple[Array, ...], Array]:
-    """(11), (12): each node's gain (nx, sensors of the node) and P(k|k) from P(k|k-1), (nx, nx).
+def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -> tuple[Array, Array]:
+    """(11), (12): the gain K (nx, ny) and P(k|k) from P(k|k-1), (nx, nx). Sensors that no node owns get no gain.
 
     sum p_i Phi_i (C P C' + R) Phi_i of (12) is block diagonal over the nodes, so p cancels in the gain, whatever the
     number of sensors a node owns; (11), and with it the next gains, still depend on p."""
     C, R = linear.C(k), linear.R(k)
-    gains: list[Array] = []
-    updated = np.zeros_like(P)
+    K, updated = np.zeros((len(P), len(C))), np.zeros_like(P)
     for node, p in zip(reception.nodes, reception.p, strict=True):
         rows = list(node)
         c, r = C[rows], R[np.ix_(rows, rows)]
-        K = np.asarray(np.linalg.solve(c @ P @ c.T + r, c @ P).T, dtype=np.float64)
-        left = np.eye(len(P)) - K @ c
-        updated += p * (left @ P @ left.T + K @ r @ K.T)
-        gains.append(K)
-    return tuple(gains), (updated + updated.T) / 2
+        gain = np.linalg.solve(c @ P @ c.T + r, c @ P).T
+        left = np.eye(len(P)) - gain @ c
+        updated += p * (left @ P @ left.T + gain @ r @ gain.T)
+        K[:, rows] = gain
+    return K, (updated + updated.T) / 2
+
+
+class _Covariance:
+    """The covariance P (nx, nx) after k predictions, and those that follow from it, each computed once.
+
+    They depend on the order of predictions and updates only, so they serve every batch of runs of one model."""
+
+    def __init__(self, linear: Linear, reception: Reception, P: Array, k: int = 0) -> None:
+        self.linear, self.reception, self.P, self.k = linear, reception, P, k
+
+    @cached_property
+    def predicted(self) -> _Covariance:
+        P = predicted_covariance(self.linear, self.P, self.k)
+        return _Covariance(self.linear, self.reception, P, self.k + 1)
+
+    @cached_property
+    def updated(self) -> tuple[Array, _Covariance]:
+        """The gain, and what it leads to."""
+        K, P = updated_covariance(self.linear, self.reception, self.P, self.k)
+        return K, _Covariance(self.linear, self.reception, P, self.k)
+
+    @classmethod
+    def initial(cls, model: DesignModel) -> _Covariance:
+        assert model.linear is not None and model.reception is not None
+        return cls(model.linear, model.reception, model.initial_covariance[:, :, 0])
+
+    def sequence(self, horizon: int) -> tuple[list[Array], Array]:
+        """See `covariance_sequence`."""
+        now, gains, covariances = self, [], [self.P]
+        for _ in range(horizon):
+            K, now = now.predicted.updated
+            gains.append(K)
+            covariances.append(now.P)
+        return gains, np.array(covariances)
+
+
+def covariance_sequence(model: DesignModel, horizon: int) -> tuple[list[Array], Array]:
+    """Theorem 1's gains K_1 .. K_horizon (nx, ny each) and covariances P(k|k), k = 0 .. horizon, (horizon + 1, nx, nx).
+
+    For tables and figures (the trace of P against its bounds)."""
+    return _Covariance.initial(model).sequence(horizon)
 
 
 def _require_nodes(estimator: type[Estimator], model: DesignModel) -> None:
@@ -77,6 +118,8 @@ class RandomAccess(Estimator):
     needs = ("linear", "reception")
     claims = ("covariance",)
 
+    _model: DesignModel | None = None
+
     @classmethod
     def require(cls, model: DesignModel) -> None:
         super().require(model)
@@ -86,7 +129,8 @@ class RandomAccess(Estimator):
         """The first gains, the range of P's eigenvalues over `horizon` steps, and the bounds of Theorems 2 to 4."""
         assert model.linear is not None and model.reception is not None
         P0 = model.initial_covariance[:, :, 0]
-        gains, P = covariance_sequence(model, self.parameters.horizon)
+        self._model, self._initial = model, _Covariance.initial(model)
+        gains, P = self._initial.sequence(self.parameters.horizon)
         eigenvalues = np.linalg.eigvalsh(P)
         bounds = CovarianceBounds(model.linear, model.reception, P0, self.parameters.horizon)
         return {
@@ -119,31 +163,28 @@ class RandomAccess(Estimator):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        assert model.linear is not None and model.reception is not None
-        self.linear, self.reception, self.k = model.linear, model.reception, 0
-        self.mean = model.initial_mean
-        self.P = model.initial_covariance[:, :, 0]
+        if model is not self._model:
+            self._model, self._initial = model, _Covariance.initial(model)
+        self._now = self._initial
+        self._mean = model.initial_mean
 
     def predict(self, u: Array, portion: Portion) -> None:
         if np.any(np.asarray(portion) != 1.0):
             raise Unsupported(f"RandomAccess predicts whole sampling periods only, not {portion} of one")
-        self.mean = self.model.transition(self.mean, u, self.k, 1.0)
-        self.P = predicted_covariance(self.linear, self.P, self.k)
-        self.k += 1
+        self._mean = self.model.transition(self._mean, u, self._now.k, 1.0)
+        self._now = self._now.predicted
 
     def update(self, y: Array, received: Mask) -> None:
-        if not np.isfinite(self.P).all():
+        """(6): the mean moves by K times the innovation of the elements received."""
+        if not np.isfinite(self._now.P).all():
             flag(self, np.ones(self.runs, dtype=bool), Status.failed, "the covariance grew beyond all bounds")
             return
-        gains, self.P = updated_covariance(self.linear, self.reception, self.P, self.k)
-        expected = product(self.linear.C(self.k), self.mean)
-        for node, K in zip(self.reception.nodes, gains, strict=True):
-            heard = np.logical_and.reduce(received[list(node)])
-            innovation = np.stack([np.where(heard, y[i] - expected[i], 0.0) for i in node])
-            self.mean = self.mean + product(K, innovation)
+        innovation = np.where(received, y - self.model.measurement(self._mean, self._now.k), 0.0)
+        K, self._now = self._now.updated
+        self._mean = self._mean + product(K, innovation)
 
     def estimate(self) -> Estimate:
-        return Estimate(self.mean, covariance=self.P[:, :, None])
+        return Estimate(self._mean, covariance=self._now.P[:, :, None])
 
 
 class ConditionalRandomAccess(Kalman):
@@ -158,21 +199,3 @@ class ConditionalRandomAccess(Kalman):
     def require(cls, model: DesignModel) -> None:
         super().require(model)
         _require_nodes(cls, model)
-
-
-def covariance_sequence(model: DesignModel, horizon: int) -> tuple[list[Array], Array]:
-    """Theorem 1's gains K_1 .. K_horizon (nx, ny each) and covariances P(k|k), k = 0 .. horizon, (horizon + 1, nx, nx).
-
-    For tables and figures (the trace of P against its bounds); the filter itself goes step by step."""
-    linear, reception = model.linear, model.reception
-    assert linear is not None and reception is not None
-    P = model.initial_covariance[:, :, 0]
-    gains, covariances = [], [P]
-    for k in range(horizon):
-        by_node, P = updated_covariance(linear, reception, predicted_covariance(linear, P, k), k + 1)
-        K = np.zeros((model.nx, model.ny))
-        for node, part in zip(reception.nodes, by_node, strict=True):
-            K[:, list(node)] = part
-        gains.append(K)
-        covariances.append(P)
-    return gains, np.array(covariances)
