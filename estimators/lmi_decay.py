@@ -1,0 +1,124 @@
+"""Fastest decay under a given bound (Corollary 2 of Zou et al. 2018, and by bisection), and the trade-off of the two.
+
+Built on the problems of `lmi`; no solution is used that is not "optimal"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scenarios.errors import Infeasible
+from .lmi import Certificate, ErrorSystem, Multipliers, solve, symmetric, ultimate_bound
+
+Array = NDArray[np.float64]
+
+
+def fastest_decay(system: ErrorSystem, varpi: float, *, multipliers: Multipliers = "scalar",
+                  tolerance: float = 5e-4, solver: str = "CLARABEL") -> Certificate:
+    """Least theta at which Corollary 1 certifies a bound of at most varpi, by bisection to `tolerance`.
+
+    The problem of Corollary 2 without its relaxation R'R >= rho (R + R' - rho I). Raises Infeasible."""
+    begun = perf_counter()
+    least: Certificate | None = None
+
+    def attempt(theta: float) -> Certificate | None:
+        nonlocal least
+        try:
+            found = ultimate_bound(system, theta, multipliers=multipliers, solver=solver)
+        except Infeasible:
+            return None
+        least = found if least is None or found.bound < least.bound else least
+        return found if found.bound <= varpi else None
+
+    low, high, best = 0.0, 0.98, attempt(0.98)
+    if best is None:
+        for theta in (0.985, 0.99, 0.995, 0.999, 0.9999):
+            low, high = high, theta
+            if (best := attempt(theta)) is not None:
+                break
+    else:
+        for theta in (0.97, 0.95, 0.9, 0.8, 0.6, 0.3):
+            if (faster := attempt(theta)) is None:
+                low = theta
+                break
+            high, best = theta, faster
+    if best is None:
+        reached = "no decay up to 0.9999 has a certificate" if least is None else (
+            f"the least bound found is {least.bound:.5g} at theta = {least.theta:g}")
+        raise Infeasible(f"no decay keeps the certified bound under varpi = {varpi:g} (constraint (33) of Corollary "
+                         f"2): {reached}; try a larger varpi, a smaller delta or fewer contending trains")
+    while high - low > tolerance:
+        middle = (low + high) / 2
+        faster = attempt(middle)
+        if faster is None:
+            low = middle
+        else:
+            high, best = middle, faster
+    return replace(best, seconds=perf_counter() - begun)
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Corollary 2's optimum: V = e' R' R e falls by 1 / gamma_bar a step, K (nx, ny) in the system's coordinates."""
+
+    gamma_bar: float
+    K: Array
+    solver: str
+    status: str
+    seconds: float
+
+
+def corollary2(system: ErrorSystem, varpi: float, T: Array, *, solver: str = "CLARABEL") -> Decay:
+    """Corollary 2, eqs. (32) to (35), in the coordinates T e (T (nx, nx), nonsingular; the identity is the paper's).
+
+    Its relaxation -R'R / gamma <= gamma I - R - R' needs a Lyapunov function near gamma^2 I, so with these data it is
+    feasible only in coordinates such as T = P^(1/2) of a Corollary 1 solution. (33)'s Schur complement is written as
+    the sum of squares that it is. Single-packet systems only. Raises Infeasible."""
+    import cvxpy as cp
+
+    begun = perf_counter()
+    (node,) = system.nodes
+    inverse = np.linalg.inv(T)
+    nx, nf = system.E.shape
+    size = float(np.linalg.norm(system.delta))
+    A, E, M = T @ system.A @ inverse, T @ system.E * size, system.M @ inverse
+    rows = 1 / np.linalg.norm(system.C @ inverse, axis=1)
+    C, root = (system.C @ inverse) * rows[:, None], system.noise_root * rows[:, None]
+    R, Y = cp.Variable((nx, nx)), cp.Variable((nx, C.shape[0]))
+    one, two, rho = cp.Variable(nonneg=True), cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    gamma = cp.Variable()
+    eye, zero = np.eye, np.zeros
+    corner = gamma * eye(nx) - R - R.T + node.spread**2 * one * eye(nx)
+    drift, drop, push = R @ A - node.mean * (Y @ C), Y @ C, R @ E
+    scatter = node.variance**0.5 * drop
+    lmi = symmetric(cp.bmat([
+        [corner, zero((nx, nx)), zero((nx, nf)), drift.T, scatter.T],
+        [zero((nx, nx)), -one * eye(nx), zero((nx, nf)), -drop.T, zero((nx, nx))],
+        [zero((nf, nx)), zero((nf, nx)), -two * eye(nf), push.T, zero((nf, nx))],
+        [drift, -drop, push, -eye(nx), zero((nx, nx))],
+        [scatter, zero((nx, nx)), zero((nx, nf)), zero((nx, nx)), -eye(nx)],
+    ]))
+    weight = symmetric(cp.bmat([[rho * eye(nx) - R - R.T, gamma * M.T], [gamma * M, -rho * eye(M.shape[0])]]))
+    noise = node.largest * cp.sum_squares(Y @ root)
+    problem = cp.Problem(cp.Maximize(gamma), [lmi << 0, weight << 0, noise + two <= varpi * (gamma - 1)])
+    status = solve(problem, solver)
+    if status != "optimal" or R.value is None or Y.value is None or gamma.value is None:
+        raise Infeasible(f"Corollary 2 has no solution at varpi = {varpi:g} in these coordinates ({solver}: {status}; "
+                         "constraints (32) to (34)); try T = P^(1/2) of a Corollary 1 solution, or a larger varpi")
+    K = inverse @ np.linalg.solve(R.value, Y.value) * rows
+    return Decay(float(gamma.value), K, solver, status, perf_counter() - begun)
+
+
+def trade_off(system: ErrorSystem, thetas: list[float], *, multipliers: Multipliers = "scalar",
+              solver: str = "CLARABEL") -> list[tuple[float, Certificate | Infeasible]]:
+    """Certified bound of Corollary 1 against decay: (theta, certificate), or the reason why there is none."""
+    rows: list[tuple[float, Certificate | Infeasible]] = []
+    for theta in thetas:
+        try:
+            rows.append((theta, ultimate_bound(system, theta, multipliers=multipliers, solver=solver)))
+        except Infeasible as reason:
+            rows.append((theta, reason))
+    return rows

@@ -1,0 +1,228 @@
+"""Constant-gain estimators with a certified mean-square bound, after Zou et al. 2018 (IEEE T-ITS).
+
+They differ in where the gain comes from: Corollary 1, the fastest decay under a bound, or a file."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import abstractmethod
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+import numpy as np
+from pydantic import Field
+
+from .. import scenarios
+from ..scenarios.errors import Infeasible, InputError, Unsupported
+from ..scenarios.model import DesignModel, Portion
+from ..scenarios.randomness import RunRandom
+from . import lmi, lmi_decay
+from .design_cache import remember
+from .interface import Array, Estimate, Estimator, Mask, Parameters
+from .kernels import apply
+from .lmi import Certificate, ErrorSystem, Multipliers, Node
+
+NEEDS = ("linear", "bounds", "reception", "performance")
+THETA = 0.98
+"""The paper's decay, where neither the estimator's parameters nor the scenario's knowledge name one."""
+
+
+def error_system(model: DesignModel) -> ErrorSystem:
+    """The estimation error's dynamics (eq. (11)) from a design model. Raises Unsupported.
+
+    Forces are `bounds.G` w with |w_i| <= `bounds.w_bar[i]`. Reception: one packet with all elements, its probability
+    known to an interval (the paper's case); or nodes of which exactly one transmits each step with known probabilities
+    (random access), where the same Lyapunov argument holds with exact second moments: E over the chosen node i of
+    (A - K Pi_i C)' P (A - K Pi_i C). The latter is our extension, not the paper's."""
+    linear, bounds, reception, performance = model.linear, model.bounds, model.reception, model.performance
+    if linear is None or bounds is None or reception is None or performance is None:
+        raise Unsupported(f"an ultimate bound needs {', '.join(NEEDS)} of the design model")
+    if not linear.constant or bounds.M is not None:
+        raise Unsupported("an ultimate bound needs a linear plant that does not change with time")
+    C = linear.C(0)
+    if reception.nodes:
+        nodes = tuple(Node(elements, p, 0.0, p * (1 - p), p)
+                      for elements, p in zip(reception.nodes, reception.p, strict=True))
+    else:
+        nodes = (lmi.packet(reception.p_low, reception.p_high, C.shape[0], reception.variance),)
+    noise_root = cast(Array, np.linalg.cholesky(linear.R(0)))
+    return ErrorSystem(linear.A(0), C, bounds.G, performance, noise_root, bounds.w_bar, nodes)
+
+
+class GainParameters(Parameters):
+    """What the constant-gain estimators share."""
+
+    theta: float | None = Field(None, gt=0, lt=1, description="decay of the certificate, per step; None: what the "
+                                "scenario's knowledge says, else 0.98, the paper's choice")
+    multipliers: Multipliers = Field("scalar", description="scalar: lambda_1 I and lambda_2 I as in the paper; free: "
+                                     "any matrix Lambda_1 >= 0, diagonal Lambda_2 (as valid, much tighter)")
+
+
+class ConstantGain(Estimator):
+    """x^(k+1) = A x^ + B u + h + K Pi(k) (y - C x^), eq. (10), with Pi(k) what was received.
+
+    In filtered form, so that a prediction is the plain model: an update adds A^-1 K Pi (y - C x^). The certified bound
+    holds from the first step where the estimator starts at the truth, else after the transient theta^k V(0)."""
+
+    Parameters = GainParameters
+    source = "Zou, Wen, Wang, Chen, Roberts, IEEE T-ITS 2018, doi 10.1109/TITS.2018.2835655"
+    needs: ClassVar[tuple[str, ...]] = ("linear",)
+    claims = ("bound",)
+
+    K: Array
+    bound: float | None = None
+
+    @abstractmethod
+    def _solve(self, system: ErrorSystem, target: float) -> Certificate:
+        """The certificate, and with it the gain. Raises Infeasible."""
+
+    def _target(self, model: DesignModel) -> float:
+        """What is asked of the design, theta: the estimator's parameter, else the scenario's knowledge, else 0.98."""
+        told = self.parameters.theta
+        return told if told is not None else float(cast(float, model.details.get("theta", THETA)))
+
+    def _given(self) -> Any:
+        """What the certificate depends on apart from system, target and parameters, as JSON values."""
+        return None
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        system, target = error_system(model), self._target(model)
+        inputs = {"estimator": type(self).__name__, "parameters": self.parameters.model_dump(mode="json"),
+                  "target": target, "given": self._given(), "system": _plain(asdict(system)), "code": _code()}
+        found = remember(inputs, lambda: _plain(asdict(self._solve(system, target))))
+        certificate = found.value
+        self.K, self.bound = np.array(certificate["K"]), certificate["bound"]
+        return {"bound": self.bound, "theta": certificate["theta"], "gain": self.K, "solver": certificate["solver"],
+                "status": certificate["status"], "residual": certificate["residual"],
+                "design_s": certificate["seconds"], "cached": found.cached}
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        linear = model.linear
+        assert linear is not None
+        parts = (linear.A(0), linear.B(0), linear.C(0), np.linalg.solve(linear.A(0), self.K))
+        self._A, self._B, self._C, self._correction = (np.ascontiguousarray(part[:, :, None]) for part in parts)
+        self._h = linear.h(0)[:, None]
+        self._mean = np.array(model.initial_mean, dtype=float, order="C")
+        self._moved, self._driven = np.empty_like(self._mean), np.empty_like(self._mean)
+        self._expected = np.empty((self._C.shape[0], runs))
+        self._bound = None if self.bound is None else np.array([self.bound])
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        if not isinstance(portion, float) or portion != 1.0:
+            raise Unsupported(f"{type(self).__name__} steps whole sampling periods only")
+        apply(self._A, self._mean, self._moved)
+        apply(self._B, u, self._driven)
+        np.add(self._moved, self._driven, out=self._mean)
+        self._mean += self._h
+
+    def update(self, y: Array, received: Mask) -> None:
+        apply(self._C, self._mean, self._expected)
+        innovation = np.subtract(y, self._expected, out=np.zeros_like(self._expected), where=received)
+        apply(self._correction, innovation, self._moved)
+        self._mean += self._moved
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean, bound=self._bound)
+
+
+class UltimateBound(ConstantGain):
+    """Corollary 1: the gain of least certified bound on E |M e|^2 at decay theta."""
+
+    summary = "constant gain of least certified mean-square bound, by LMI (Corollary 1)"
+    needs = NEEDS
+
+    def _solve(self, system: ErrorSystem, target: float) -> Certificate:
+        return lmi.ultimate_bound(system, target, multipliers=self.parameters.multipliers)
+
+
+class FastestDecayParameters(GainParameters):
+    """The bound that may be spent on a faster decay."""
+
+    varpi: float | None = Field(None, gt=0, description="bound on E |M e|^2 that must be kept; None: what the "
+                                "scenario's knowledge says")
+    tolerance: float = Field(5e-4, gt=0, lt=0.1, description="width of the bisection's last interval of theta")
+
+
+class FastestDecay(ConstantGain):
+    """The gain of fastest certified decay whose bound on E |M e|^2 stays under varpi: Corollary 2's problem, solved by
+    bisection over theta on Corollary 1's constraints (no relaxation)."""
+
+    Parameters = FastestDecayParameters
+    summary = "constant gain of fastest certified decay under a given bound, by LMI (Corollary 2's problem)"
+    needs = NEEDS
+
+    def _target(self, model: DesignModel) -> float:
+        """The bound varpi: the estimator's parameter, else the scenario's knowledge."""
+        varpi = self.parameters.varpi or model.details.get("varpi")
+        if varpi is None:
+            raise Unsupported("fastest-decay needs varpi, the bound to keep, as a parameter or of the scenario")
+        return float(cast(float, varpi))
+
+    def _solve(self, system: ErrorSystem, target: float) -> Certificate:
+        return lmi_decay.fastest_decay(system, target, multipliers=self.parameters.multipliers,
+                                       tolerance=self.parameters.tolerance)
+
+
+class FixedGainParameters(GainParameters):
+    """Where the gain is."""
+
+    gain: str = Field(description="CSV file of K (nx x ny, predictor form, one row a line): a path, or the name of a "
+                      "file beside the built-in scenarios")
+
+
+class FixedGain(ConstantGain):
+    """Any given gain, certified by Theorem 1 where it can be; without a certificate it runs and claims no bound."""
+
+    Parameters = FixedGainParameters
+    summary = "constant gain from a file, its bound certified by Theorem 1 where there is a certificate"
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        self.K = read_gain(self.parameters.gain)
+        if self.K.shape != (model.nx, model.ny):
+            raise Unsupported(f"the gain in {self.parameters.gain} is {self.K.shape[0]} x {self.K.shape[1]}, this "
+                              f"scenario needs {model.nx} x {model.ny} (states x measurements)")
+        try:
+            return super().design(model)
+        except Infeasible as reason:
+            self.bound = None
+            return {"bound": None, "theta": self._target(model), "gain": self.K, "status": str(reason)}
+
+    def _given(self) -> Any:
+        return self.K.tolist()
+
+    def _solve(self, system: ErrorSystem, target: float) -> Certificate:
+        return lmi.certify(system, self.K, target, multipliers=self.parameters.multipliers)
+
+
+def read_gain(file: str) -> Array:
+    """The matrix in a CSV file, by path or by name beside the built-in scenarios. Raises InputError."""
+    path = Path(file)
+    if not path.exists():
+        path = Path(scenarios.__path__[0]) / file
+    try:
+        gain = np.loadtxt(path, delimiter=",", ndmin=2)
+    except FileNotFoundError:
+        raise InputError(f"{file}: there is no such file, neither here nor beside the built-in scenarios") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: not a CSV file of numbers, one row of the gain a line: {error}") from None
+    if gain.size == 0 or not np.isfinite(gain).all():
+        raise InputError(f"{file}: a gain must have only finite numbers")
+    return gain
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, for JSON."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _code() -> dict[str, str]:
+    """What solves the problems: another version of it is another design."""
+    source = b"".join(Path(str(module.__file__)).read_bytes() for module in (lmi, lmi_decay))
+    return {"source": hashlib.sha256(source).hexdigest(), "cvxpy": version("cvxpy"), "clarabel": version("clarabel")}
