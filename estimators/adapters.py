@@ -112,7 +112,7 @@ class PerRun(Estimator):
             self.models[run].k += 1
 
     def update(self, y: Array, received: Mask) -> None:
-        for run in np.flatnonzero(received.any(axis=0)):
+        for run in np.flatnonzero(received.any(axis=0)).tolist():
             got = np.flatnonzero(received[:, run])
             self._guard(run, self.update_run, y[got, run], got)
 

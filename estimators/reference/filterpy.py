@@ -71,7 +71,7 @@ class FilterpyUnscented(PerRun):
         kappa = p.kappa_for(n)
         points = (JulierSigmaPoints(n, kappa) if p.points == "julier"
                   else MerweScaledSigmaPoints(n, p.alpha, p.beta, kappa))
-        filter = UnscentedKalmanFilter(n, model.ny, 1.0, model.h, model.f, points)
+        filter: Any = UnscentedKalmanFilter(n, model.ny, 1.0, model.h, model.f, points)
         filter.x, filter.P = model.x0, model.P0
         filter.drawn = False
         return filter
@@ -99,7 +99,7 @@ class FilterpyCubature(PerRun):
     claims = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
-        filter = CubatureKalmanFilter(model.nx, model.ny, 1.0, model.h, model.f)
+        filter: Any = CubatureKalmanFilter(model.nx, model.ny, 1.0, model.h, model.f)
         filter.x, filter.P, filter.centre = np.zeros((model.nx, 1)), model.P0, model.x0
         return filter
 

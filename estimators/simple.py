@@ -1,0 +1,98 @@
+"""The yardsticks that estimate next to nothing: held measurements, dead reckoning, and the truth itself.
+
+They show what the others are worth, and the oracle shows what is the controller's share in a closed loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import DesignModel, Portion, product
+from ..scenarios.randomness import RunRandom
+from .interface import Array, Estimate, Estimator, Mask
+
+
+class Direct(Estimator):
+    """The last received measurement, held: x = C^-1 y, with each element of y the last one received.
+
+    Holds the start until a run's first packet; predicts nothing. Needs a constant, square, invertible C."""
+
+    summary = "the last received measurement, held (C must be invertible)"
+    source = "the usual practice that Zou et al., IEEE T-ITS 2018, section V, compare with"
+    needs = ("linear",)
+
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        assert model.linear is not None
+        c = model.linear.C(0)
+        if c.shape[0] != c.shape[1]:
+            raise Unsupported(f"Direct needs as many measurements as states, to solve y = C x for x; here C is "
+                              f"{c.shape[0]} x {c.shape[1]}")
+        if not model.linear.constant:
+            raise Unsupported("Direct needs a constant C: elements of y of different steps are held side by side")
+        if np.linalg.matrix_rank(c) < len(c):
+            raise Unsupported("Direct needs an invertible C, to solve y = C x for x; here C is singular")
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        assert model.linear is not None
+        self._inverse: Array = np.linalg.inv(model.linear.C(0)).astype(float)
+        self._mean = np.array(model.initial_mean, dtype=float)
+        self._held = product(model.linear.C(0), self._mean)
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        """Nothing: the measurement is held."""
+
+    def update(self, y: Array, received: Mask) -> None:
+        self._held = np.where(received, y, self._held)
+        self._mean = np.where(received.any(axis=0), product(self._inverse, self._held), self._mean)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean)
+
+
+class DeadReckoning(Estimator):
+    """The design model run forward from the start; measurements are ignored."""
+
+    summary = "prediction only: the design model without measurements"
+    source = "the first-principles baseline"
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self._mean = np.array(model.initial_mean, dtype=float)
+        self._k = 0
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        self._mean = self.model.transition(self._mean, u, self._k, portion)
+        self._k += 1
+
+    def update(self, y: Array, received: Mask) -> None:
+        """Nothing: measurements are ignored."""
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean)
+
+
+class Truth(Estimator):
+    """The oracle: the first nx entries of the truth vector. The design model's start before the first step."""
+
+    summary = "oracle: the true state"
+    source = "not an estimator: the bound that no estimator passes"
+    oracle = True
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self._mean = np.array(model.initial_mean, dtype=float)
+
+    def reveal(self, truth: Array) -> None:
+        self._mean = np.array(truth[:self.model.nx])
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        """Nothing: `reveal` has told it all."""
+
+    def update(self, y: Array, received: Mask) -> None:
+        """Nothing: `reveal` has told it all."""
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean)
