@@ -137,6 +137,25 @@ def test_the_covariance_is_the_expectation_over_every_order_of_nodes():
     np.testing.assert_allclose(total, P[4], rtol=1e-10)
 
 
+def test_gains_prepared_by_the_design_serve_any_order_of_events():
+    """A designed filter, started twice, a measurement before the first prediction: as one that was never designed."""
+    setting = plant(3, [[0, 2], [1]], seed=11)
+    streams = Streams(1, "trial", "default", range(4))
+    world = setting.world(streams)
+    designed, model = prepare(setting, RandomAccess, {}, {}, world.initial_mean)
+    designed.design(model)
+    fresh = RandomAccess()
+    for _ in range(2):
+        for filter_ in (designed, fresh):
+            filter_.start(model, 4, streams("estimator", "trial"))
+        for k in range(6):
+            for filter_ in (designed, fresh):
+                filter_.update(world.y[k], world.received[k])
+                filter_.predict(world.u[k], 1.0)
+            np.testing.assert_array_equal(designed.estimate().mean, fresh.estimate().mean)
+            np.testing.assert_array_equal(designed.estimate().covariance, fresh.estimate().covariance)
+
+
 def test_no_other_gain_has_a_smaller_trace():
     setting = plant(3, [[0, 2], [1]], steps=1, seed=7)
     model = setting.design_model({}, np.zeros((3, 1)))
