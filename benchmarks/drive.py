@@ -18,6 +18,7 @@ from ..scenarios.randomness import RunRandom
 from ..scenarios.setting import Setting
 from ..scenarios.world import Step, World
 from .scoring import Scored, Scorer
+from .windows import WindowErrors
 
 Array = NDArray[np.float64]
 Watch = Callable[[int, Estimate, Step], None]
@@ -41,6 +42,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     skip = round(score.skip / setting.config.time.period)
     runs = world.initial_mean.shape[1]
     scorer = Scorer(setting.quantities(), runs, world.steps, skip, dict(score.divergence), model.performance)
+    windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), runs)
     before_update = score.at == "prediction"
     seconds = 0.0
     begun = perf_counter()
@@ -64,6 +66,8 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
                 estimate = estimator.estimate()
                 seconds += perf_counter() - begun
                 scorer.add(k, estimate, step)
+                if k >= skip:
+                    windows.add(estimate, step)
                 if watch:
                     watch(k, estimate, step)
                 begun = perf_counter()
@@ -74,6 +78,8 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
         seconds += perf_counter() - begun
         if not before_update:
             scorer.add(k, estimate, step)
+            if k >= skip:
+                windows.add(estimate, step)
             if watch:
                 watch(k, estimate, step)
         driven += 1
@@ -84,7 +90,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
     scored = scorer.finish(estimator.status, estimator.reason)
     bad = scored.status != 0
-    outcomes = dict(setting.outcomes(world, scored.metrics))
+    outcomes = {**windows.finish(), **setting.outcomes(world, scored.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}

@@ -33,13 +33,15 @@ class Step:
     u (nu, S): the input as the estimator is told it, over the interval that ends here. events: in time order, their
     portions adding up to the step's length. truth (nt, S): the state, then the parameters to be estimated, at the
     instant. active (S,): runs still under way (a train that has stopped is scored no further). scored (nt, S): elements
-    of the truth that still count in runs under way (one of several trains may have finished); None: all of them."""
+    of the truth that still count in runs under way (one of several trains may have finished); None: all of them.
+    window (S,): index of the world's named window each run is in (a section of a trip), -1 for none."""
 
     u: Array
     events: tuple[Event, ...]
     truth: Array
     active: Mask
     scored: Mask | None = None
+    window: NDArray[np.int16] | None = None
 
 
 class World(Protocol):
@@ -65,7 +67,9 @@ class Trajectory:
 
     truth (K, nt, S); u (K, nu, S): input over the interval that ends at step k; y (K, ny, S); received (K, ny, S);
     active (K, S); portions (K,): length of the interval that ends at step k in sampling periods (0.0: measure only).
-    initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form."""
+    initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form.
+    windows: names of parts of the trip whose errors are reported on their own; window (K, S): which part a step is in,
+    -1 for none."""
 
     truth: Array
     u: Array
@@ -76,6 +80,8 @@ class Trajectory:
     initial_mean: Array
     extra: dict[str, Array] = field(default_factory=dict)
     closed_loop: bool = False
+    windows: tuple[str, ...] = ()
+    window: NDArray[np.int16] | None = None
 
     @property
     def steps(self) -> int:
@@ -83,4 +89,5 @@ class Trajectory:
 
     def step(self, k: int, mean: Array) -> Step:
         event = Event(float(self.portions[k]), self.y[k], self.received[k])
-        return Step(self.u[k], (event,), self.truth[k], self.active[k])
+        window = None if self.window is None else self.window[k]
+        return Step(self.u[k], (event,), self.truth[k], self.active[k], window=window)

@@ -1,0 +1,45 @@
+"""Errors over the named windows of a trip (a section, the end of an outage), next to those over the whole run.
+
+A window is a set of steps of each run; a step belongs to one window at most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimators.interface import Estimate
+from ..scenarios.setting import Outcome, Quantity
+from ..scenarios.world import Step
+
+Array = NDArray[np.float64]
+
+
+class WindowErrors:
+    """Accumulates the squared errors of S runs per window; no windows, no work."""
+
+    def __init__(self, names: Sequence[str], quantities: Sequence[Quantity], runs: int) -> None:
+        self.names, self.quantities = tuple(names), tuple(quantities)
+        self.squared = np.zeros((len(self.quantities), len(self.names), runs))
+        self.steps = np.zeros((len(self.names), runs))
+
+    def add(self, estimate: Estimate, step: Step) -> None:
+        """Score the estimate of a step in the window each run is in (step.window (S,), -1: none)."""
+        if not self.names or step.window is None:
+            return
+        inside = np.flatnonzero(step.active & (step.window >= 0))
+        window = step.window[inside]
+        self.steps[window, inside] += 1
+        parts = [estimate.mean] if estimate.parameter is None else [estimate.mean, estimate.parameter]
+        vector = np.concatenate(parts)
+        for q, item in enumerate(self.quantities):
+            for i, weight in item.components:
+                error = weight * (vector[i, inside] - step.truth[i, inside])
+                self.squared[q, window, inside] += error * error / (len(item.components) if item.mean else 1)
+
+    def finish(self) -> dict[Outcome, Array]:
+        """{("rmse", "QUANTITY-WINDOW", unit): (S,)}, NaN where a run never was in the window."""
+        steps = np.where(self.steps > 0, self.steps, np.nan)
+        return {("rmse", f"{item.name}-{name}", item.unit): np.sqrt(self.squared[q, w] / steps[w])
+                for q, item in enumerate(self.quantities) for w, name in enumerate(self.names)}
