@@ -1,0 +1,130 @@
+"""Schema of moving-block scenario files. Lengths in m, times in s, speeds in m/s, accelerations in m/s^2.
+
+What each number means stands here; where it comes from stands in the scenario file."""
+
+# Each setting narrows the types of the common tables, which are frozen: pyright takes them for mutable.
+# pyright: reportIncompatibleVariableOverride=false
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, model_validator
+
+from .schema import ScenarioConfig, Strict
+
+
+class Track(Strict):
+    """straight: length of each of the two straights; radius: of the two half circles. stations: evenly spaced stops,
+    the main one at s = 0."""
+
+    straight: PositiveFloat
+    radius: PositiveFloat
+    stations: PositiveInt
+
+
+class Trains(Strict):
+    """start: arc length of the noses of leader and follower. stops: the stations (0 = main) each of them calls at.
+
+    stop_tolerance: a train at rest this close to its stop has arrived."""
+
+    length: PositiveFloat
+    top_speed: PositiveFloat
+    start: Annotated[list[float], Field(min_length=2, max_length=2)]
+    stops: Annotated[list[Annotated[list[NonNegativeInt], Field(min_length=1)]], Field(min_length=2, max_length=2)]
+    dwell: NonNegativeFloat
+    stop_tolerance: PositiveFloat
+    laps: PositiveInt
+
+
+class ControlTable(Strict):
+    """law: P (the paper's) or R (restoring). braking: beta_s; braking_limit: hardest deceleration over beta_s.
+
+    leader_ratio: k_acc of eqs. (28), (29); the follower's ratio (-1 + sqrt(1 + 4 k_acc)) / 2 must be real."""
+
+    law: Literal["P", "R"]
+    braking: PositiveFloat
+    braking_limit: Annotated[float, Field(ge=1)]
+    leader_ratio: PositiveFloat
+    safe_gap: PositiveFloat
+    margin: NonNegativeFloat
+
+
+class MovingBlockSignalling(Strict):
+    """The follower keeps its distance from the leader's tail by the synchronization law."""
+
+    kind: Literal["moving"]
+
+
+class FixedBlockSignalling(Strict):
+    """Blocks from station to station, boundaries `overlap` beyond the stops; authority ends at the block that holds the
+    leader's tail, as it was `release_delay` ago. Both trains keep to line_speed."""
+
+    kind: Literal["fixed"]
+    line_speed: PositiveFloat
+    release_delay: NonNegativeFloat
+    overlap: NonNegativeFloat
+
+
+class Plant(Strict):
+    kind: Literal["moving-block"]
+    track: Track
+    trains: Trains
+    control: ControlTable
+    signalling: Annotated[MovingBlockSignalling | FixedBlockSignalling, Field(discriminator="kind")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Plant:
+        known = self.track.stations
+        for stops in self.trains.stops:
+            if max(stops) >= known:
+                raise ValueError(f"trains.stops names station {max(stops)}, but stations go from 0 to {known - 1}")
+            if sorted(set(stops)) != stops:
+                raise ValueError(f"trains.stops must be in rising order without repeats, got {stops}")
+        leader, follower = self.trains.start
+        if leader - self.trains.length - follower < self.control.safe_gap - 1e-9:
+            raise ValueError("trains.start leaves less than control.safe_gap between leader's tail and follower's nose")
+        return self
+
+
+class Encoder(Strict):
+    """Measured distance = ds (1 + b + w), counted in whole pulses. b: per train and run; w: per step, its standard
+    deviation given for noise_period (white in time). Measured speed = v (1 + b + w)."""
+
+    bias_mean: float
+    bias_sd: NonNegativeFloat
+    noise_sd: NonNegativeFloat
+    noise_period: PositiveFloat
+    pulse: PositiveFloat
+
+
+class Tags(Strict):
+    """count: evenly spaced, half a spacing off the main stop. sd: of the place where a nose is read. missed: share of
+    passes without a reading."""
+
+    count: PositiveInt
+    sd: NonNegativeFloat
+    missed: Annotated[float, Field(ge=0, lt=1)] = 0.0
+
+
+class Sensors(Strict):
+    """start_sd: standard deviation of the filter's start along the track."""
+
+    encoder: Encoder
+    tags: Tags
+    start_sd: NonNegativeFloat
+
+
+class Knowledge(Strict):
+    """What the estimators are told: process variance per metre travelled (m^2/m), variance of a tag's coordinates
+    (m^2), of the start (m^2)."""
+
+    process_variance: PositiveFloat
+    tag_variance: PositiveFloat
+    start_variance: PositiveFloat
+
+
+class MovingBlockConfig(ScenarioConfig):
+    plant: Plant
+    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
+    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]

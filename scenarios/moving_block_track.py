@@ -1,0 +1,159 @@
+"""The stadium track: its analytic map from arc length to the plane and back, and the planar motion model on it.
+
+Compiled, one point at a time over runs, so that a result does not depend on how many runs stand beside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .model import Portion
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def place(s, half, radius):
+    """Arc length s (any lap) -> x, y, cos and sin of the heading. half: half a straight; all lengths in m."""
+    arc = math.pi * radius
+    length = 4 * half + 2 * arc
+    s = s - length * math.floor(s / length)
+    if s < half:
+        return radius, s, 0.0, 1.0
+    if s < half + arc:
+        angle = (s - half) / radius
+        return radius * math.cos(angle), half + radius * math.sin(angle), -math.sin(angle), math.cos(angle)
+    if s < 3 * half + arc:
+        return -radius, 2 * half + arc - s, 0.0, -1.0
+    if s < 3 * half + 2 * arc:
+        angle = (s - 3 * half - arc) / radius
+        return -radius * math.cos(angle), -half - radius * math.sin(angle), math.sin(angle), -math.cos(angle)
+    return radius, s - length, 0.0, 1.0
+
+
+@njit(cache=True)
+def project(x, y, half, radius):
+    """Arc length in [0, length) of the track's point nearest to (x, y); m."""
+    arc = math.pi * radius
+    if y > half:
+        return half + radius * math.atan2(y - half, x)
+    if y < -half:
+        return 3 * half + arc + radius * math.atan2(-half - y, -x)
+    if x < 0:
+        return 2 * half + arc - y
+    return y if y >= 0 else 4 * half + 2 * arc + y
+
+
+@njit(cache=True)
+def curvature(s, half, radius):
+    """1 / radius on the arcs, 0 on the straights; 1/m."""
+    arc = math.pi * radius
+    s = s - (4 * half + 2 * arc) * math.floor(s / (4 * half + 2 * arc))
+    if half < s < half + arc or 3 * half + arc < s < 3 * half + 2 * arc:
+        return 1.0 / radius
+    return 0.0
+
+
+@njit(cache=True)
+def _advance(points, travel, half, radius, out):
+    """p + D [cos th, sin th], th at s(p) + D/2. points, out (4, N, S); travel (2, S)."""
+    for train in range(2):
+        for n in range(points.shape[1]):
+            for run in range(points.shape[2]):
+                x, y = points[2 * train, n, run], points[2 * train + 1, n, run]
+                distance = travel[train, run]
+                _, _, cos, sin = place(project(x, y, half, radius) + distance / 2, half, radius)
+                out[2 * train, n, run] = x + distance * cos
+                out[2 * train + 1, n, run] = y + distance * sin
+
+
+@njit(cache=True)
+def _jacobian(points, travel, half, radius, out):
+    """d f / d p. points (4, S), travel (2, S), out (4, 4, S), zero on entry."""
+    for train in range(2):
+        i = 2 * train
+        for run in range(points.shape[1]):
+            x, y = points[i, run], points[i + 1, run]
+            distance = travel[train, run]
+            s = project(x, y, half, radius)
+            _, _, along_x, along_y = place(s, half, radius)
+            # The nearest point moves slower than a point outside the arc and faster than one inside it.
+            if abs(y) > half:
+                lever = radius / math.sqrt(x * x + (abs(y) - half) ** 2)
+                along_x, along_y = lever * along_x, lever * along_y
+            _, _, cos, sin = place(s + distance / 2, half, radius)
+            turn = distance * curvature(s + distance / 2, half, radius)
+            out[i, i, run] = 1.0 - turn * sin * along_x
+            out[i, i + 1, run] = -turn * sin * along_y
+            out[i + 1, i, run] = turn * cos * along_x
+            out[i + 1, i + 1, run] = 1.0 + turn * cos * along_y
+
+
+@njit(cache=True)
+def _places(s, half, radius, x, y, heading):
+    for i in range(s.size):
+        x[i], y[i], cos, sin = place(s[i], half, radius)
+        heading[i] = math.atan2(sin, cos)
+
+
+@njit(cache=True)
+def _projects(x, y, half, radius, s):
+    for i in range(s.size):
+        s[i] = project(x[i], y[i], half, radius)
+
+
+@dataclass(frozen=True)
+class StadiumTrack:
+    """Two straights along y joined by half circles, run counter-clockwise; s = 0 lies at (radius, 0). Lengths in m."""
+
+    straight: float
+    radius: float
+
+    @property
+    def half(self) -> float:
+        return self.straight / 2
+
+    @property
+    def length(self) -> float:
+        return 2 * self.straight + 2 * math.pi * self.radius
+
+    def points(self, s: Array) -> tuple[Array, Array, Array]:
+        """Arc lengths (any shape, any lap) -> x, y in m and heading in rad, each of the same shape."""
+        flat = np.ascontiguousarray(s, dtype=float).reshape(-1)
+        x, y, heading = np.empty_like(flat), np.empty_like(flat), np.empty_like(flat)
+        _places(flat, self.half, self.radius, x, y, heading)
+        return x.reshape(np.shape(s)), y.reshape(np.shape(s)), heading.reshape(np.shape(s))
+
+    def arc_lengths(self, x: Array, y: Array) -> Array:
+        """Arc length in [0, length) of the nearest point of the track; x, y of one shape, m."""
+        out = np.empty(np.size(x))
+        _projects(np.ascontiguousarray(x, dtype=float).reshape(-1), np.ascontiguousarray(y, dtype=float).reshape(-1),
+                  self.half, self.radius, out)
+        return out.reshape(np.shape(x))
+
+    def tags(self, count: int) -> Array:
+        """Arc lengths (count,) of evenly spaced tags, the first half a spacing behind s = 0."""
+        return (np.arange(count) + 0.5) * self.length / count
+
+    def transition(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
+        """Both trains' planar motion (Faruqi et al. 2019, eq. (30), with the heading at the midpoint of the way, since
+        the printed Euler step spirals outward). x (4, .., S), u (2, S) measured distances of a whole step."""
+        points = np.ascontiguousarray(x).reshape(4, -1, x.shape[-1])
+        out = np.empty_like(points)
+        _advance(points, travelled(u, portion), self.half, self.radius, out)
+        return out.reshape(x.shape)
+
+    def jacobian(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
+        """Jacobian (4, 4, S) of `transition` at x (4, S)."""
+        out = np.zeros((4, 4, x.shape[1]))
+        _jacobian(np.ascontiguousarray(x), travelled(u, portion), self.half, self.radius, out)
+        return out
+
+
+def travelled(u: Array, portion: Portion) -> Array:
+    """The share of a step's distances u (2, S) that belongs to `portion` (a number or (S,)) of the step."""
+    return np.ascontiguousarray(u * portion)
