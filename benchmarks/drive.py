@@ -43,7 +43,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     runs = world.initial_mean.shape[1]
     scorer = Scorer(setting.quantities(), runs, world.steps, skip, dict(score.divergence), model.performance)
     windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), runs)
-    before_update = score.at == "prediction"
+    before_update = score.at == "prediction" and estimator.predicts
     seconds = 0.0
     begun = perf_counter()
     estimator.start(model, runs, random)

@@ -63,6 +63,9 @@ class Estimator(ABC):
     summary: one line for `railstate list`. needs: names of `DesignModel` parts that must not be None (checked before
     `design`). claims: fields of `Estimate` it fills beyond the mean. source: paper, equation or book.
 
+    predicts: False for what is no prediction at all (a measurement at hand): scored after the update of its step even
+    where the scenario scores predictions.
+
     status (S,) of `Status` values and `reason`: an estimator that notices that a run has gone wrong (covariance no
     longer positive definite, all weights zero) sets status[s], keeps its numbers finite or NaN for that run only, and
     gives the reason; it raises nothing. A design problem without solution raises `Infeasible` in `design`."""
@@ -73,6 +76,7 @@ class Estimator(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     claims: ClassVar[tuple[str, ...]] = ()
     oracle: ClassVar[bool] = False
+    predicts: ClassVar[bool] = True
 
     status: NDArray[np.int8]
     reason: str = ""

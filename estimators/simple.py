@@ -20,6 +20,7 @@ class Direct(Estimator):
     summary = "the last received measurement, held (C must be invertible)"
     source = "the usual practice that Zou et al., IEEE T-ITS 2018, section V, compare with"
     needs = ("linear",)
+    predicts = False
 
     @classmethod
     def require(cls, model: DesignModel) -> None:
