@@ -25,8 +25,8 @@ from .metro_trip import Controller, check, simulate
 from .model import Bounds, DesignModel, Portion
 from .randomness import Streams
 from .schema import ScenarioConfig, Strict
-from .setting import Quantity, Setting
-from .world import Trajectory
+from .setting import Outcome, Quantity, Setting
+from .world import Trajectory, World
 
 Array = NDArray[np.float64]
 Two = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
@@ -124,12 +124,28 @@ class Metro(Setting[MetroConfig]):
         return max(time.steps, math.ceil(1.05 * float(trip.active.sum())))
 
     @property
+    def sections(self) -> tuple[str, ...]:
+        """Names of the sections of a trip with stops on the way; none where there is only the one."""
+        count = len(self.config.plant.line.stops) - 1
+        return tuple(f"section-{i + 1:02d}" for i in range(count)) if count > 1 else ()
+
+    def table(self) -> tuple[tuple[str, str], ...]:
+        return *super().table(), *(("rmse", f"position-{name}") for name in self.sections)
+
+    def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
+        """Of a trip with stops on the way: how far the train stayed under its speed limits, at the least."""
+        if not self.sections or not isinstance(world, Trajectory):
+            return {}
+        room = np.where(world.active, world.extra["speed-limit"] - world.truth[:, 1], np.inf)
+        return {("least", "room-under-limit", "m/s"): room.min(axis=0)}
+
+    @property
     def start(self) -> tuple[float, float]:
         """True position (m) and speed (m/s) at the start."""
         return self.config.plant.line.stops[0], self.config.plant.start_speed
 
     def batch_bytes(self) -> int:
-        return self.steps * 8 * 16
+        return self.steps * 8 * 12
 
     def world(self, streams: Streams) -> Trajectory:
         config, plant = self.config, self.config.plant
@@ -145,30 +161,30 @@ class Metro(Setting[MetroConfig]):
         return Trajectory(
             truth=trip.state, u=trip.u, y=y, received=config.channel.draw(streams("channel"), steps, 2),
             active=trip.active, portions=np.ones(steps), initial_mean=np.array(self.start)[:, None] + error,
-            extra={"disturbance": trip.w, "reference-speed": trip.reference, "section": trip.section.astype(float),
+            windows=self.sections, window=trip.section if self.sections else None,
+            extra={"disturbance": trip.w, "reference-speed": trip.reference,
                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         told: Knowledge = self.resolve_knowledge(knowledge)
         train, line, period = self.config.plant.train, self.config.plant.line, self.config.time.period
         forces, slope = train.forces, line.slope(train.rotating)
-        runs = initial_mean.shape[1]
-        whole = np.full(runs, period)
+        whole = np.full(initial_mean.shape[1], period)
 
-        def seconds(portion: Portion) -> Array:
-            if isinstance(portion, float) and portion == 1.0:
+        def seconds(portion: Portion, runs: int) -> Array:
+            if isinstance(portion, float) and portion == 1.0 and runs == len(whole):
                 return whole
             return np.broadcast_to(period * np.asarray(portion, dtype=float), (runs,)).copy()
 
         def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            points = np.ascontiguousarray(x).reshape(2, -1, runs)
+            points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
             out = np.empty_like(points)
-            compiled.transition(points, u[0], seconds(portion), forces, slope, np.empty(points.shape[1:]), out)
+            compiled.transition(points, u[0], seconds(portion, x.shape[-1]), forces, slope, np.empty(points.shape[1:]), out)
             return out.reshape(x.shape)
 
         def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            out = np.empty((2, 2, runs))
-            compiled.transition_jacobian(x[1], u[0], seconds(portion), forces, out)
+            out = np.empty((2, 2, x.shape[1]))
+            compiled.transition_jacobian(x[1], u[0], seconds(portion, x.shape[1]), forces, out)
             return out
 
         def covariance(h: Array) -> Array:
@@ -180,10 +196,10 @@ class Metro(Setting[MetroConfig]):
         def process_covariance(x: Array, u: Array, k: int, portion: Portion) -> Array:
             if isinstance(portion, float):
                 return once if portion == 1.0 else covariance(np.array([period * portion]))
-            return covariance(seconds(portion))
+            return covariance(seconds(portion, x.shape[1]))
 
         def kappa(x: Array, u: Array, Pi: Array) -> Array:
-            out = np.full(runs, told.kappa or 0.0)
+            out = np.full(x.shape[1], told.kappa or 0.0)
             if told.kappa is None:
                 compiled.slope_change(x[1], u[0], Pi, period, forces, out)
             return out

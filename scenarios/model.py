@@ -94,6 +94,7 @@ class DesignModel:
     measurement_jacobian(x, k): (nx, S) -> (ny, nx, S or 1).
     process_covariance(x, u, k, portion): (nx, nx, S or 1), PSD. measurement_covariance(k): (ny, ny, 1), PD.
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
+    S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
     `k` counts the estimator's predictions so far; only time-varying models look at it.
     `details` carries plant-specific knowledge for estimators written for that plant (keys told by the setting)."""
 
