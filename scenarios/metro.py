@@ -179,7 +179,8 @@ class Metro(Setting[MetroConfig]):
         def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
             points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
             out = np.empty_like(points)
-            compiled.transition(points, u[0], seconds(portion, x.shape[-1]), forces, slope, np.empty(points.shape[1:]), out)
+            compiled.transition(points, u[0], seconds(portion, x.shape[-1]), forces, slope, np.empty(points.shape[1:]),
+                                out)
             return out.reshape(x.shape)
 
         def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
