@@ -92,7 +92,7 @@ class PerRun(Estimator):
         """A new filter for one run, started at model.x0, model.P0."""
 
     def predict_run(self, filter: Any, model: RunModel, u: Array, portion: float) -> None:
-        """`portion` sampling periods ahead with input u (nu,). As it stands: filter.predict(u)."""
+        """`portion` > 0 sampling periods ahead with input u (nu,). As it stands: filter.predict(u)."""
         filter.predict(u)
 
     def update_run(self, filter: Any, model: RunModel, y: Array, got: Indices) -> None:
@@ -107,7 +107,7 @@ class PerRun(Estimator):
 
     def predict(self, u: Array, portion: Portion) -> None:
         portions = np.broadcast_to(portion, (self.runs,))
-        for run in range(self.runs):
+        for run in np.flatnonzero(portions).tolist():
             self._guard(run, self.predict_run, u[:, run], float(portions[run]))
             self.models[run].k += 1
 

@@ -38,45 +38,53 @@ class BootstrapParticle(Estimator):
         self._random, self._k = random, 0
         self._failed = np.zeros(runs, dtype=bool)
         self._particles = np.repeat(model.initial_mean[:, None, :], self.parameters.particles, axis=1)
-        self._diffuse(model.initial_covariance)
+        everyone = np.ones(runs, dtype=bool)
+        self._diffuse(model.initial_covariance, everyone)
         self._logs = np.zeros((self.parameters.particles, runs))
         self._weights = np.full((self.parameters.particles, runs), 1 / self.parameters.particles)
         self._mean, self._covariance = np.empty((model.nx, runs)), np.empty((model.nx, model.nx, runs))
-        self._moments()
+        self._moments(everyone)
 
     def predict(self, u: Array, portion: Portion) -> None:
         model = self.model
         assert model.process_covariance is not None
         q = model.process_covariance(self._mean, u, self._k, portion)
         self._particles = np.ascontiguousarray(model.transition(self._particles, u, self._k, portion))
-        self._diffuse(q)
+        moving = np.broadcast_to(portion, (self.runs,)) != 0
+        self._diffuse(q, moving)
         self._k += 1
-        self._moments()
+        self._moments(moving)
 
     def update(self, y: Array, received: Mask) -> None:
         model = self.model
         assert model.measurement_covariance is not None
-        images = np.ascontiguousarray(model.measurement(self._particles, self._k))
-        offset = self._random.uniform(0.0, 1.0)  # drawn whether used or not, so that no run moves another's stream
+        images = np.array(model.measurement(self._particles, self._k), order="C")  # a copy even of the state itself
+        # Drawn whether used or not, but only where something arrived: other runs' events must not move a run's stream.
+        told = received.any(axis=0)
+        offset = self._random.uniform(0.0, 1.0, which=told)
         if _weigh(images, y, received, model.measurement_covariance(self._k), self._logs, self._weights, self._failed):
             flag(self, self._failed, Status.failed, "no particle has a finite likelihood")
-        self._moments()
+        self._moments(told)
         _resample(self._particles, self._logs, self._weights, offset, self.parameters.resample_below)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)
 
-    def _diffuse(self, covariance: Array) -> None:
-        """Add normal noise of this covariance (nx, nx, S or 1) to the particles."""
-        noise = self._random.normal(*self._particles.shape[:2])
+    def _diffuse(self, covariance: Array, moving: Mask) -> None:
+        """Add normal noise of this covariance (nx, nx, S or 1) to the particles of the runs `moving` (S,)."""
+        noise = self._random.normal(*self._particles.shape[:2], which=moving)
         covariance = np.array(np.broadcast_to(covariance, (*covariance.shape[:2], self.runs)), order="C")
         factor = np.empty_like(covariance)
         if cholesky(covariance, factor, self._failed):
             flag(self, self._failed, Status.failed, "a process noise covariance is indefinite")
         _add_noise(self._particles, factor, noise)
 
-    def _moments(self) -> None:
-        _weighted(self._particles, self._weights, self._mean, self._covariance)
+    def _moments(self, which: Mask) -> None:
+        """Weighted mean and covariance of the runs `which` (S,). Those of the others are from before they resampled."""
+        mean, covariance = np.empty_like(self._mean), np.empty_like(self._covariance)
+        _weighted(self._particles, self._weights, mean, covariance)
+        self._mean = np.where(which, mean, self._mean)
+        self._covariance = np.where(which, covariance, self._covariance)
 
 
 @kernel

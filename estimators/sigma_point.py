@@ -8,7 +8,6 @@ from abc import abstractmethod
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..scenarios.errors import Infeasible
@@ -52,6 +51,7 @@ class SigmaPointKalman(Estimator):
         self._points = np.empty((n, len(self._weights_mean), runs))
         self._deviations = np.empty_like(self._points)
         self._failed = np.zeros(runs, dtype=bool)
+        self._all = np.arange(runs)
         self._nothing = np.zeros((n, n, 1))
         self._unspread = self._nothing
         self._k = 0
@@ -64,9 +64,10 @@ class SigmaPointKalman(Estimator):
         if self._unspread is not self._nothing:
             self._draw()
         moved = np.ascontiguousarray(model.transition(self._points, u, self._k, portion))
-        if unscented_predict(moved, _moving(portion, self.runs), self._weights_mean, self._weights_covariance, q,
-                             self._scale, self.redraw, self._mean, self._covariance, self._points, self._deviations,
-                             self._failed):
+        # Drawing points anew would change the last bits of runs that stand still.
+        moving = self._all if isinstance(portion, float) else np.flatnonzero(portion)
+        if unscented_predict(moved, moving, self._weights_mean, self._weights_covariance, q, self._scale, self.redraw,
+                             self._mean, self._covariance, self._points, self._deviations, self._failed):
             flag(self, self._failed, Status.failed, LOST)
         if not self.redraw:
             self._points, self._unspread = moved, q
@@ -91,11 +92,6 @@ class SigmaPointKalman(Estimator):
         if sigma_points(self._mean, self._covariance, self._scale, self._points, self._deviations, self._failed):
             flag(self, self._failed, Status.failed, LOST)
         self._unspread = self._nothing
-
-
-def _moving(portion: Portion, runs: int) -> NDArray[np.int64]:
-    """The runs that go ahead at all: drawing points anew would change the last bits of the others."""
-    return np.flatnonzero(np.broadcast_to(portion, (runs,)))
 
 
 class UnscentedKalman(SigmaPointKalman):

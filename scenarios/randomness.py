@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def generator(seed: int, *names: str | int) -> np.random.Generator:
@@ -40,18 +41,20 @@ class RunRandom:
             self._generators = [generator(self.seed, scenario, variant, run, *rest) for run in self.runs]
         return self._generators
 
-    def normal(self, *shape: int) -> Array:
-        """Standard normal draws, shape (*shape, S)."""
-        out = np.empty((*shape, len(self.runs)))
+    def normal(self, *shape: int, which: Mask | None = None) -> Array:
+        """Standard normal draws, shape (*shape, S). which (S,): runs that draw; the others get 0, drawing nothing."""
+        out = np.zeros((*shape, len(self.runs)))
         for run, gen in enumerate(self.generators):
-            out[..., run] = gen.standard_normal(shape)
+            if which is None or which[run]:
+                out[..., run] = gen.standard_normal(shape)
         return out
 
-    def uniform(self, low: float, high: float, *shape: int) -> Array:
-        """Uniform draws in [low, high), shape (*shape, S)."""
-        out = np.empty((*shape, len(self.runs)))
+    def uniform(self, low: float, high: float, *shape: int, which: Mask | None = None) -> Array:
+        """Uniform draws in [low, high), shape (*shape, S). which (S,): as in `normal`."""
+        out = np.zeros((*shape, len(self.runs)))
         for run, gen in enumerate(self.generators):
-            out[..., run] = gen.uniform(low, high, shape)
+            if which is None or which[run]:
+                out[..., run] = gen.uniform(low, high, shape)
         return out
 
     def integers(self, low: int, high: int, *shape: int) -> NDArray[np.int64]:

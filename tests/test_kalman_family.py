@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.kalman import ExtendedKalman, Kalman
+from railstate.estimators.particle import BootstrapParticle
+from railstate.estimators.reference.filterpy import FilterpyCubature, FilterpyExtended, FilterpyUnscented
 from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
 from railstate.scenarios.errors import Infeasible, Unsupported
 from railstate.scenarios.model import DesignModel
@@ -294,3 +296,29 @@ def test_parameters_are_checked() -> None:
         UnscentedKalman({"kappa": -2.0}).design(models.coasting(1))
     with pytest.raises(Unsupported, match="linear"):
         Kalman.require(models.coasting(1))
+
+
+@pytest.mark.parametrize("estimator", [*(make() for make in FAMILY.values()), BootstrapParticle({"particles": 20}),
+                                       FilterpyExtended(), FilterpyUnscented(), FilterpyCubature()])
+def test_a_run_that_stands_still_keeps_its_bits(estimator: Estimator) -> None:
+    """Portion 0 and nothing received: other runs' events change nothing of it, its random stream included."""
+    model = models.coasting(3)
+    data = models.record(model, 3, 6)
+    still, nobody = np.array([0.5, 0.0, 0.2]), np.array([[True, False, True]] * 2)
+
+    def run(extra: bool) -> list[Array]:
+        estimator.start(model, 3, models.random(3))
+        out = []
+        for k in range(6):
+            estimator.predict(data.u[k], 1.0)
+            estimator.update(data.y[k], data.received[k])
+            if extra:
+                estimator.predict(data.u[k], still)
+                estimator.update(np.where(nobody, 1.0, np.nan), nobody)
+            estimate = estimator.estimate()
+            assert estimate.covariance is not None
+            out += [estimate.mean[:, 1].copy(), estimate.covariance[:, :, -2].copy()]
+        return out
+
+    for alone, together in zip(run(False), run(True), strict=True):
+        np.testing.assert_array_equal(alone, together)

@@ -94,9 +94,9 @@ def test_particle_filter_equals_a_textbook_loop() -> None:
     stream = models.random(runs)
     noise = [stream.normal(2, count)]
     offsets = []
-    for _ in range(steps):
+    for k in range(steps):
         noise.append(stream.normal(2, count))
-        offsets.append(stream.uniform(0.0, 1.0))
+        offsets.append(stream.uniform(0.0, 1.0, which=data.received[k].any(axis=0)))
     resampled = 0
     for run in range(runs):
         x = model.initial_mean[:, [run]] + np.linalg.cholesky(model.initial_covariance[:, :, 0]) @ noise[0][:, :, run]
