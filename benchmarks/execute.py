@@ -180,14 +180,14 @@ def _warm_up(setting: Setting[Any], task: Task, label: str) -> None:
         return
     _warm.add(key)
     streams = Streams(task.seed, task.cell.scenario, task.cell.variant, (0, 1))
-    world = _FirstSteps(setting.world(streams), 3)
+    world = FirstSteps(setting.world(streams), 3)
     estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
                                world.initial_mean)
     estimator.design(model)
     drive(setting, world, estimator, model, streams("estimator", label))
 
 
-class _FirstSteps:
+class FirstSteps:
     """A world cut short."""
 
     def __init__(self, world: World, steps: int) -> None:

@@ -1,0 +1,148 @@
+"""The compiled loops of scoring: errors into running sums, quadratic forms e' M^-1 e. Runs are innermost throughout.
+
+Scoring must cost little beside the filters it scores, so every loop over runs is one the compiler vectorises."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..estimators.kernels import factorise, forward, gather2, gather3, kernel, tile_width
+
+LANES = 8
+
+
+@kernel
+def lane_sum(values):
+    """Sum of values (S,) in eight interleaved partial sums: as fast as memory, and of the same bits every time."""
+    lanes = np.zeros(LANES)
+    whole = values.shape[0] // LANES * LANES
+    for s in range(0, whole, LANES):
+        for lane in range(LANES):
+            lanes[lane] += values[s + lane]
+    total = lanes.sum()
+    for s in range(whole, values.shape[0]):
+        total += values[s]
+    return total
+
+
+@kernel
+def add_errors(vector, truth, live, index, weight, owner, share, limit, step):
+    """step[0..2, q] (3, nq, S) := this step's squared, absolute and signed error of each quantity; step[3, q] its
+    largest component. live (S,) 1.0 or 0.0 becomes 0.0 where an error is not finite or above its limit.
+
+    Components r: index, weight, owner (quantity), share of the quantity's mean, each (nr,); limit (nq,)."""
+    step[:] = 0.0
+    for r in range(index.shape[0]):
+        i, w, q, f = index[r], weight[r], owner[r], share[r]
+        bound = limit[q]
+        for s in range(truth.shape[1]):
+            e = w * (vector[i, s] - truth[i, s])
+            a = abs(e)
+            live[s] = live[s] if a <= bound else 0.0
+            step[0, q, s] += f * e * e
+            step[1, q, s] += f * a
+            step[2, q, s] += f * e
+            step[3, q, s] = max(step[3, q, s], a)
+
+
+@kernel
+def add_partial(vector, truth, live, scored, index, weight, owner, share, step, left_out):
+    """As `add_errors` for step[0], [1] and [3], but of the elements with scored (nt, S) alone; left_out (nq, S) adds
+    up the share of a quantity's step that was missed so. step[2] (the signed error) is left alone."""
+    for part in (0, 1, 3):
+        step[part] = 0.0
+    for r in range(index.shape[0]):
+        i, w, q, f = index[r], weight[r], owner[r], share[r]
+        for s in range(truth.shape[1]):
+            e = w * (vector[i, s] - truth[i, s])
+            e = e if scored[i, s] else 0.0
+            step[0, q, s] += f * e * e
+            step[1, q, s] += f * abs(e)
+            step[3, q, s] = max(step[3, q, s], abs(e))
+            left_out[q, s] += 0.0 if scored[i, s] else f * live[s]
+
+
+@kernel
+def accumulate(step, live, totals):
+    """totals (3, nq, S) of squared, absolute and largest error take up the step's, where live."""
+    for q in range(step.shape[1]):
+        for s in range(live.shape[0]):
+            on = live[s] > 0.0
+            totals[0, q, s] += step[0, q, s] if on else 0.0
+            totals[1, q, s] += step[1, q, s] if on else 0.0
+            totals[2, q, s] = max(totals[2, q, s], step[3, q, s] if on else 0.0)
+
+
+@kernel
+def accumulate_curves(step, live, last, steps, curve_squared, curve_fourth, curve_error, curve_count):
+    """The sums over runs of this step, (nq,) each and (1,); last (nq, S) := the signed error, steps (S,) += 1."""
+    value, fourth = np.empty_like(live), np.empty_like(live)
+    for q in range(step.shape[1]):
+        for s in range(live.shape[0]):
+            on = live[s] > 0.0
+            value[s] = step[0, q, s] if on else 0.0
+            fourth[s] = value[s] * value[s]
+        curve_squared[q] += lane_sum(value)
+        curve_fourth[q] += lane_sum(fourth)
+        for s in range(live.shape[0]):
+            on = live[s] > 0.0
+            value[s] = step[2, q, s] if on else 0.0
+            last[q, s] = value[s] if on else last[q, s]
+        curve_error[q] += lane_sum(value)
+    for s in range(live.shape[0]):
+        steps[s] += live[s]
+    curve_count[0] += lane_sum(live)
+
+
+@kernel
+def quadratic_forms(vector, truth, matrix, out, lost):
+    """out[s] = e' M^-1 e, e = vector - truth in the first n elements, by Cholesky; NaN where M is singular.
+
+    vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where M is indefinite or not finite."""
+    n, runs = matrix.shape[0], truth.shape[1]
+    shared = matrix.shape[2] == 1
+    width = tile_width(n, runs)
+    tile, factor = np.empty((n, n, width)), np.empty((n, n, width))
+    inverse, error = np.empty((n, width)), np.empty((n, 1, width))
+    mine, theirs = np.empty((n, width)), np.empty((n, width))
+    failed = np.zeros(width, dtype=np.bool_)
+    for first in range(0, runs, width):
+        count = min(width, runs - first)
+        index = np.arange(first, first + count)
+        if not shared:
+            failed[:] = False
+            gather3(matrix, index, count, tile)
+            factorise(tile, factor, inverse, failed, False, count)
+        elif first == 0:
+            factorise(matrix, factor, inverse, failed, False, 1)
+            for s in range(1, width):
+                failed[s] = failed[0]
+                inverse[:, s] = inverse[:, 0]
+                factor[:, :, s] = factor[:, :, 0]
+        gather2(vector[:n], index, count, mine)
+        gather2(truth[:n], index, count, theirs)
+        for i in range(n):
+            for s in range(count):
+                error[i, 0, s] = mine[i, s] - theirs[i, s]
+        forward(factor, inverse, error, count)
+        for s in range(count):
+            out[first + s] = 0.0
+            lost[first + s] = failed[s]
+        for i in range(n):
+            for s in range(count):
+                value = out[first + s] + error[i, 0, s] * error[i, 0, s]
+                out[first + s] = value if inverse[i, s] > 0.0 else np.nan
+
+
+@kernel
+def add_forms(form, live, total, count, curve, curve_count):
+    """total, count (S,) take up form (S,) where live and not NaN; curve, curve_count (1,) its sum over runs."""
+    value, ones = np.empty_like(live), np.empty_like(live)
+    for s in range(live.shape[0]):
+        on = live[s] > 0.0 and form[s] == form[s]
+        value[s] = form[s] if on else 0.0
+        ones[s] = 1.0 if on else 0.0
+        total[s] += value[s]
+        count[s] += ones[s]
+    curve[0] += lane_sum(value)
+    curve_count[0] += lane_sum(ones)

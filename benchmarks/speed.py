@@ -1,0 +1,113 @@
+"""Speed side by side with named peers doing the same work, in one process, on one thread: `railstate timing`.
+
+Ours are whole filter steps as the runner drives them; peers are bare loops of their own, as their users write them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimators.registry import estimators
+from ..scenarios.randomness import Streams
+from ..scenarios.world import Trajectory
+from .drive import drive, prepare
+from .execute import FirstSteps
+from .latency import measure
+from .plan import Cell, make_plan
+
+Array = NDArray[np.float64]
+Row = dict[str, str]
+
+
+def cell_of(name: str, label: str, overrides: dict[str, Any] | None = None) -> Cell:
+    """One scenario variant with one estimator."""
+    return make_plan([name], only=[label], overrides=overrides).cells[0]
+
+
+def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> tuple[float, float, Array]:
+    """(ns per run-step inside the estimator, share of the drive's time that is not the estimator's, final means).
+
+    Medians over `repeats` drives after a warm-up. The truth is simulated beforehand and not counted."""
+    setting, entry = cell.setting(), cell.entries[label]
+    world = setting.world(Streams(1, cell.scenario, cell.variant, range(runs)))
+    short = FirstSteps(world, steps)
+    inside, overhead, last = [], [], np.empty((0, runs))
+    for repeat in range(repeats + 1):
+        estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+                                   world.initial_mean)
+        estimator.design(model)
+        random = Streams(1, cell.scenario, cell.variant, range(runs))("estimator", label)
+        begun = perf_counter()
+        driven = drive(setting, short, estimator, model, random)
+        total = perf_counter() - begun
+        if repeat:
+            inside.append(1e9 * driven.seconds / (driven.steps * runs))
+            overhead.append(1 - driven.seconds / total)
+        last = estimator.estimate().mean.copy()
+    return float(np.median(inside)), float(np.median(overhead)), last
+
+
+def peer(loop: Callable[[], tuple[int, Array]], repeats: int) -> tuple[float, Array]:
+    """(ns per run-step, final means) of a peer's loop, which returns its number of run-steps; median after a warm-up."""
+    seconds, last = [], np.empty(0)
+    for repeat in range(repeats + 1):
+        begun = perf_counter()
+        count, last = loop()
+        if repeat:
+            seconds.append(1e9 * (perf_counter() - begun) / count)
+    return float(np.median(seconds)), last
+
+
+def line(what: str, runs: int, mine: float, name: str, theirs: float, apart: float, **more: str) -> Row:
+    """A line of a comparison. apart: greatest difference between the two estimates: the same work was done."""
+    return {"estimator": what, "runs": str(runs), "ns/run-step": f"{mine:.0f}", "peer": name,
+            "peer ns/run-step": f"{theirs:.0f}", "times faster": f"{theirs / mine:.0f}" if theirs >= 10 * mine
+            else f"{theirs / mine:.1f}", "estimates differ by": f"{apart:.1e}", **more}
+
+
+def recorded(cell: Cell, runs: int) -> Trajectory:
+    """The open-loop truth of a cell."""
+    world = cell.setting().world(Streams(1, cell.scenario, cell.variant, range(runs)))
+    assert isinstance(world, Trajectory)
+    return world
+
+
+def latency(cell: Cell, label: str) -> float:
+    """Median microseconds of one step of one run."""
+    return 1e6 * float(np.median(measure(cell, label, 1)[1]))
+
+
+def _metro(repeats: int) -> list[Row]:
+    from .speed_metro import compare
+
+    return compare(repeats)
+
+
+def _cars(repeats: int) -> list[Row]:
+    from .speed_cars import compare
+
+    return compare(repeats)
+
+
+def _robust(repeats: int) -> list[Row]:
+    from .speed_robust import compare
+
+    return compare(repeats)
+
+
+def _particles(repeats: int) -> list[Row]:
+    from .speed_particles import compare
+
+    return compare(repeats)
+
+
+COMPARISONS: dict[str, tuple[str, Callable[[int], list[Row]]]] = {
+    "metro": ("2 states, filterpy's own loop with a plain Python model", _metro),
+    "cars": ("12 states with missing packets, filterpy and simdkalman", _cars),
+    "robust": ("batched fast form against the convex form (DPP-parametrised, Clarabel)", _robust),
+    "particles": ("braking rate, against a numpy loop over particles", _particles),
+}

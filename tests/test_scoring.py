@@ -1,0 +1,108 @@
+"""The scorer against a naive loop over runs and steps, with runs that end, diverge or lose their covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from railstate.benchmarks.scoring import Scorer
+from railstate.benchmarks.scoring_kernels import lane_sum, quadratic_forms
+from railstate.estimators.interface import Estimate, Status
+from railstate.scenarios.setting import Quantity
+from railstate.scenarios.world import Step
+
+STEPS, SKIP = 12, 3
+QUANTITIES = (Quantity("position", "m", ((0, 1.0), (1, 1.0))), Quantity("speed", "m/s", ((2, 3.6),)),
+              Quantity("weighted", "1", ((0, 0.5), (2, 2.0)), mean=False))
+
+
+def random_case(runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Truth, mean (K, 3, S), covariance (K, 3, 3, S), active (K, S)."""
+    rng = np.random.default_rng(5)
+    truth, mean = rng.normal(size=(2, STEPS, 3, runs))
+    root = rng.normal(size=(STEPS, 3, 3, runs))
+    covariance = np.einsum("kijs,kljs->kils", root, root) + 0.1 * np.eye(3)[:, :, None]
+    active = np.arange(STEPS)[:, None] < rng.integers(6, STEPS + 1, runs)
+    return truth, mean, covariance, active
+
+
+def scored(runs: slice, mean: np.ndarray, covariance: np.ndarray):  # noqa: ANN201
+    """What the scorer makes of some of 33 runs."""
+    truth, _, _, active = random_case(33)
+    scorer = Scorer(QUANTITIES, len(range(33)[runs]), STEPS, SKIP, {"speed": 50.0}, None)
+    for k in range(STEPS):
+        step = Step(np.zeros((0, 1)), (), truth[k][:, runs], active[k][runs])
+        scorer.add(k, Estimate(mean[k][:, runs], covariance=covariance[k][:, :, runs]), step)
+    return scorer.finish(np.zeros(len(range(33)[runs]), dtype=np.int8), "")
+
+
+def test_metrics_equal_a_naive_loop() -> None:
+    truth, mean, covariance, active = random_case(33)
+    found = scored(slice(None), mean, covariance)
+    assert (found.status == Status.ok).all() and found.nees_states == 3
+    for s in range(33):
+        use = [k for k in range(SKIP, STEPS) if active[k, s]]
+        error = np.array([mean[k, :, s] - truth[k, :, s] for k in use])
+        nees = np.mean([e @ np.linalg.solve(covariance[k, :, :, s], e) for k, e in zip(use, error, strict=True)])
+        expected = {
+            ("rmse", "position"): np.sqrt(np.mean(error[:, :2] ** 2)), ("mae", "position"): np.mean(abs(error[:, :2])),
+            ("max", "position"): abs(error[:, :2]).max(), ("rmse", "speed"): np.sqrt(np.mean((3.6 * error[:, 2]) ** 2)),
+            ("final", "speed"): abs(3.6 * error[-1, 2]), ("nees", "state"): nees,
+            ("sum-squared", "weighted"): np.sum((0.5 * error[:, 0]) ** 2 + (2 * error[:, 2]) ** 2)}
+        for key, value in expected.items():
+            assert found.metrics[key][s] == pytest.approx(value, rel=1e-10), key
+    for k in range(STEPS):
+        counted = active[k] & (k >= SKIP)
+        assert found.curves["active"][k] == counted.sum()
+        speed = 3.6 * (mean[k, 2] - truth[k, 2])[counted]
+        assert found.curves["squared"][k, 1] == pytest.approx(np.sum(speed**2))
+        assert found.curves["fourth"][k, 1] == pytest.approx(np.sum(speed**4))
+
+
+def test_a_batch_gives_each_run_the_same_bits() -> None:
+    _, mean, covariance, _ = random_case(33)
+    whole = scored(slice(None), mean, covariance)
+    for runs in (slice(0, 1), slice(5, 12), slice(16, 33)):
+        part = scored(runs, mean, covariance)
+        for key, values in part.metrics.items():
+            np.testing.assert_array_equal(values, whole.metrics[key][runs])
+
+
+def test_bad_runs_have_a_status_and_leave_the_others_alone() -> None:
+    _, mean, covariance, active = random_case(33)
+    good = scored(slice(None), mean, covariance)
+    mean, covariance = mean.copy(), covariance.copy()
+    assert active[5].all()
+    mean[5, 0, 4] = np.nan
+    mean[4, 2, 7] = 1e3
+    covariance[5, :, :, 9] = -np.eye(3)
+    bad = scored(slice(None), mean, covariance)
+    assert {s: Status(v).name for s, v in enumerate(bad.status) if v} == {4: "diverged", 7: "diverged", 9: "failed"}
+    keep = bad.status == Status.ok
+    for key, values in good.metrics.items():
+        np.testing.assert_array_equal(values[keep], bad.metrics[key][keep])
+        assert np.isnan(bad.metrics[key][~keep]).all()
+
+
+@pytest.mark.parametrize("runs", [1, 5, 700])
+@pytest.mark.parametrize("shared", [True, False])
+def test_quadratic_forms(runs: int, shared: bool) -> None:
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(4, 4, 1 if shared else runs))
+    matrix = np.einsum("ijs,kjs->iks", root, root) + 0.1 * np.eye(4)[:, :, None]
+    vector, truth = rng.normal(size=(2, 5, runs))
+    out, lost = np.empty(runs), np.zeros(runs, dtype=bool)
+    quadratic_forms(vector, truth, matrix, out, lost)
+    error = (vector - truth)[:4]
+    expected = [error[:, s] @ np.linalg.solve(matrix[:, :, 0 if shared else s], error[:, s]) for s in range(runs)]
+    np.testing.assert_allclose(out, expected, rtol=1e-9)
+    assert not lost.any()
+    singular = np.zeros((4, 4, 1))
+    quadratic_forms(vector, truth, singular, out, lost)
+    assert np.isnan(out).all() and not lost.any()
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 8, 1001])
+def test_lane_sum(length: int) -> None:
+    values = np.random.default_rng(2).normal(size=length)
+    assert lane_sum(values) == pytest.approx(values.sum(), abs=1e-12)
