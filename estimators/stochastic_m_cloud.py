@@ -1,0 +1,193 @@
+"""The recursion that RBPF, SMA and GSMA share: a cloud of particles, each a grid value and a Gaussian.
+
+Members (stochastic_m.py) say where a particle's children go and how many of them go on; kernels do the step."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import DesignModel, Modes, Portion
+from ..scenarios.randomness import RunRandom
+from . import stochastic_m_factorised as factorised
+from . import stochastic_m_full as full
+from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+DRAWS = 256  # uniforms a run fetches at once: the stream is the same, the call's cost shared
+CYCLE = 64  # pruning makes the number of particles periodic within far fewer steps
+ROUNDING = 1e-18  # variance added to claims: a particle cloud of one value may claim less than rounding errors
+
+
+class CloudParameters(Parameters):
+    """Common to the family."""
+
+    form: Literal["factorised", "full"] = Field(
+        "factorised", description="factorised: one gain per run (needs a parameter that acts through known states "
+        "only); full: a Kalman filter per particle, the same estimates")
+
+
+class GridParticles(Estimator):
+    """Predict: remember the input. Update: expand each particle into its children, weigh them by
+    log w' = log w + log p(theta'|theta) + log N(y; y^, S), normalise, estimate over all children (eqs. (19), (22)),
+    prune. Inside the cloud particles are the innermost axis, since a run's particles are used together.
+
+    kalman_updates (S,): Kalman updates so far as the textbook form does them (children weighed). Initial particles
+    x(i) ~ N(x0, P0), each with covariance P0, and theta(i) from the modes' prior (the paper's steps 1 and 2)."""
+
+    Parameters: ClassVar[type[Parameters]] = CloudParameters
+    source = "Zheng, Han, Kong, Wang, Promet 27(1), 2015"
+    needs = ("modes",)
+    claims = ("parameter", "covariance", "diversity")
+    optimal = False
+    by_weight = False
+    memoryless = False
+
+    @abstractmethod
+    def family(self, modes: Modes) -> tuple[Index, Array]:
+        """Children (m, g) of each grid value and their log prior (m, g)."""
+
+    @abstractmethod
+    def goes_on(self, children: int, g: int) -> int:
+        """How many of `children` particles pruning leaves; 0: no pruning."""
+
+    @abstractmethod
+    def first(self) -> int:
+        """Number of particles at the start."""
+
+    def draws_per_step(self) -> int:
+        """Uniforms one step of one run takes; the first one resamples."""
+        return 1
+
+    def move(self, draws: Array) -> None:
+        """Draw parameters before the expansion (only filters that sample from a prior do); draws (S, d)."""
+
+    def _sizes(self, g: int) -> list[int]:
+        """Number of particles before each of the first steps."""
+        sizes = [self.first()]
+        for _ in range(CYCLE):
+            made = sizes[-1] if self.optimal else sizes[-1] * g
+            sizes.append(self.goes_on(made, g) or made)
+        return sizes
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        """The work a step takes (Table 2's times stand for it)."""
+        assert model.modes is not None
+        g = self.family(model.modes)[0].shape[1]
+        sizes = self._sizes(g)
+        return {"particles": max(sizes), "kalman_updates_per_step": float(np.mean(sizes[:60])) * g}
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        """Raises Unsupported where the initial covariance is not diagonal, or the form does not fit the modes."""
+        super().start(model, runs, random)
+        modes = model.modes
+        assert modes is not None
+        variance = model.initial_covariance[:, :, 0]
+        if np.count_nonzero(variance - np.diag(np.diag(variance))):
+            raise Unsupported(f"{type(self).__name__} needs a diagonal initial covariance")
+        m, n = len(modes.grid), self.first()
+        self.moving = self.family(modes)
+        self.waiting = np.arange(m)[:, None], np.zeros((m, 1))
+        self.n, capacity = n, max(self._sizes(self.moving[0].shape[1]))
+        self.known = factorised.known_states(modes, variance)
+        # Exactly known states at the end of the vector would make the claimed covariance singular: they are left out.
+        self.claimed = int(np.flatnonzero(~self.known).max(initial=-1)) + 1
+        self.alive, self.diversity = np.ones(runs, dtype=bool), np.empty(runs)
+        theta, logw = np.zeros((runs, capacity), dtype=np.int64), np.zeros((runs, capacity))
+        drawn = random.uniform(0.0, 1.0, n)
+        theta[:, :n] = np.searchsorted(np.cumsum(modes.prior)[:-1], drawn, side="right").T
+        x = model.initial_mean[:, None, :] + np.sqrt(np.diag(variance))[:, None, None] * random.normal(model.nx, n)
+        if self.parameters.form == "factorised":
+            self._start_factorised(modes, variance, x, theta, logw)
+        else:
+            self._start_full(modes, variance, x, theta, logw)
+        self.random, self.block, self.used = random, np.empty((0, runs, 0)), 0
+        self.kalman_updates = np.zeros(runs)
+        self.pending = self.computed = False
+        self.inputs, self.uniforms = np.zeros((runs, modes.B.shape[2])), np.zeros((runs, self.draws_per_step()))
+        self.nothing = np.zeros((runs, model.ny)), np.zeros((runs, model.ny), dtype=bool)
+
+    def _start_factorised(self, modes: Modes, variance: Array, x: Array, theta: Index, logw: Array) -> None:
+        runs, capacity = theta.shape
+        u, k = ~self.known, self.known
+        nu, nk = int(u.sum()), int(k.sum())
+        self.kernel, self.model_moving = factorised.step, factorised.factorise(modes, variance)
+        self.model_waiting = factorised.still(self.model_moving)
+        particles = np.zeros((runs, nu, capacity))
+        particles[:, :, :self.n] = x[u].transpose(2, 0, 1)
+        self.cloud = factorised.Cloud(particles, theta, logw, np.repeat(variance[np.ix_(u, u)][None], runs, axis=0),
+                                      np.ascontiguousarray(self.model.initial_mean[k].T), self.alive)
+        self.out = factorised.Moments(np.empty((nu, runs)), np.empty((nk, runs)), np.empty((1, runs)),
+                                      np.empty((nu, nu, runs)), self.diversity)
+
+    def _start_full(self, modes: Modes, variance: Array, x: Array, theta: Index, logw: Array) -> None:
+        runs, capacity = theta.shape
+        nx = len(x)
+        self.kernel, self.model_moving = full.step, full.full_modes(modes)
+        self.model_waiting = full.still(self.model_moving)
+        particles, P = np.zeros((runs, nx, capacity)), np.zeros((runs, nx, nx, capacity))
+        particles[:, :, :self.n] = x.transpose(2, 0, 1)
+        P[:] = variance[:, :, None]
+        self.cloud = full.FullCloud(particles, P, theta, logw, self.alive)
+        self.out = full.FullMoments(np.empty((nx, runs)), np.empty((1, runs)), np.empty((nx, nx, runs)),
+                                    self.diversity)
+
+    def _draws(self) -> Array:
+        """The step's uniforms, (S, d), in step for all runs whatever happens to them."""
+        if self.used == len(self.block):
+            width = self.draws_per_step()
+            drawn = self.random.uniform(0.0, 1.0, max(1, DRAWS // width), width)
+            self.block, self.used = np.ascontiguousarray(drawn.transpose(0, 2, 1)), 0
+        self.used += 1
+        return self.block[self.used - 1]
+
+    def _run(self, y: Array, received: Mask, commit: bool) -> None:
+        """The compiled step, with the prediction that is pending or at the same instant. y, received (S, ny)."""
+        pending = self.pending
+        children, prior = self.moving if pending else self.waiting
+        optimal, g = self.optimal and pending, children.shape[1]
+        keep = self.goes_on(self.n if optimal else self.n * g, g) if commit and pending else 0
+        n = self.kernel(self.model_moving if pending else self.model_waiting, children, prior, self.cloud, self.n,
+                        self.inputs, y, received, self.uniforms, keep, self.by_weight, self.memoryless and pending,
+                        optimal, commit, self.out)
+        if commit:
+            self.n, self.pending = n, False
+        self.computed = True
+        flag(self, ~self.alive, Status.failed, "the weights of all particles vanished")
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        """Whole sampling periods only, since the modes are discrete: raises Unsupported otherwise."""
+        if not np.all(np.asarray(portion) == 1.0):
+            raise Unsupported(f"{type(self).__name__} predicts whole sampling periods only: its modes are discrete")
+        if self.pending:
+            self._run(*self.nothing, True)
+        self.inputs, self.uniforms = np.ascontiguousarray(u.T), self._draws()
+        self.move(self.uniforms)
+        self.pending, self.computed = True, False
+
+    def update(self, y: Array, received: Mask) -> None:
+        self.kalman_updates += self.n * (self.moving[0].shape[1] if self.pending else 1)
+        self._run(np.ascontiguousarray(y.T), np.ascontiguousarray(received.T), True)
+
+    def estimate(self) -> Estimate:
+        if not self.computed:
+            self._run(*self.nothing, False)
+        out, c = self.out, self.claimed
+        if isinstance(out, factorised.Moments):
+            mean, covariance = np.empty((self.model.nx, self.runs)), np.zeros((c, c, self.runs))
+            u = np.flatnonzero(~self.known)
+            mean[u], mean[self.known], covariance[np.ix_(u, u)] = out.mean, out.known, out.covariance
+        else:
+            mean, covariance = out.mean, out.covariance[:c, :c].copy()
+        for i in range(c):
+            covariance[i, i] += ROUNDING
+        return Estimate(mean, parameter=out.parameter, covariance=covariance, diversity=self.diversity)
+
+    def counters(self) -> dict[str, Array]:
+        return {"kalman-updates": self.kalman_updates}

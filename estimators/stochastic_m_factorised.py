@@ -1,0 +1,234 @@
+"""The factorised step of the grid particle filters: one Kalman gain per run, three dot products per particle.
+
+Where theta acts only through exactly known states and inputs, P, S, K are common, log-likelihoods quadratic in it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import Modes
+from .stochastic_m_gain import Factors, gain_of, innovation, product
+from .stochastic_m_select import collapse, distinct, normalise, select
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class Cloud(NamedTuple):
+    """Particles of all runs, particles innermost: x (S, nu, capacity), theta (S, capacity) grid index, logw
+    (S, capacity); P (S, nu, nu) and known (S, nk) common to a run's particles; alive (S,)."""
+
+    x: Array
+    theta: Index
+    logw: Array
+    P: Array
+    known: Array
+    alive: NDArray[np.bool_]
+
+
+class Moments(NamedTuple):
+    """What a step hands out: mean (nu, S), known (nk, S), parameter (1, S), covariance (nu, nu, S), diversity (S,)."""
+
+    mean: Array
+    known: Array
+    parameter: Array
+    covariance: Array
+    diversity: Array
+
+
+def known_states(modes: Modes, initial_covariance: Array) -> NDArray[np.bool_]:
+    """States that are known exactly: no initial variance, no process noise, the same rule in every mode, driven by
+    each other and the input alone. Shape (nx,)."""
+    known = (np.diag(initial_covariance) == 0) & (np.abs(modes.Q).sum(axis=1) == 0)
+    known &= (np.ptp(modes.A, axis=0) == 0).all(axis=1) & (np.ptp(modes.B, axis=0) == 0).all(axis=1)
+    while True:
+        leaning = np.array([np.any(modes.A[0, i, ~known] != 0) for i in range(len(known))])
+        if not (known & leaning).any():
+            return known
+        known &= ~leaning
+
+
+def factorise(modes: Modes, initial_covariance: Array) -> Factors:
+    """Split the modes. Raises Unsupported where theta acts on uncertain states, or not proportionally."""
+    k = known_states(modes, initial_covariance)
+    u = ~k
+    grid, A, B = modes.grid, modes.A, modes.B
+    span = grid[-1] - grid[0] if len(grid) > 1 else 1.0
+    A1, B1 = (A[-1] - A[0]) / span, (B[-1] - B[0]) / span
+    A0, B0 = A[0] - grid[0] * A1, B[0] - grid[0] * B1
+    theta = grid[:, None, None]
+    bent = max(np.abs(A0 + theta * A1 - A).max(), np.abs(B0 + theta * B1 - B).max(initial=0.0))
+    if bent > 1e-12 or np.abs(A1[np.ix_(u, u)]).max(initial=0.0) > 1e-14:
+        raise Unsupported(f"form = \"factorised\" needs {modes.name} to act proportionally, and only through states "
+                          "that are known exactly (initial variance 0, no process noise); use form = \"full\"")
+    arrays = (A[0][np.ix_(u, u)], A0[np.ix_(u, k)], A1[np.ix_(u, k)], B0[u], B1[u], A[0][np.ix_(k, k)], B[0][k],
+              modes.C[:, u], modes.C[:, k], modes.Q[np.ix_(u, u)], modes.R, grid)
+    return Factors(*(np.ascontiguousarray(array, dtype=float) for array in arrays))
+
+
+def still(factors: Factors) -> Factors:
+    """The same model with time standing still, for a second measurement at the same instant."""
+    zero = {name: np.zeros_like(getattr(factors, name)) for name in ("D0", "D1", "B0", "B1", "Bk", "Q")}
+    return factors._replace(F=np.eye(len(factors.F)), Ak=np.eye(len(factors.Ak)), **zero)
+
+
+@njit(cache=True)
+def _dot(a, b, n):
+    """Sum of a[i] b[i] in four interleaved partial sums (a fixed order, four times as fast as one)."""
+    p, q, r, s = 0.0, 0.0, 0.0, 0.0
+    whole = n - n % 4
+    for i in range(0, whole, 4):
+        p += a[i] * b[i]
+        q += a[i + 1] * b[i + 1]
+        r += a[i + 2] * b[i + 2]
+        s += a[i + 3] * b[i + 3]
+    for i in range(whole, n):
+        p += a[i] * b[i]
+    return (p + q) + (r + s)
+
+
+@njit(cache=True)
+def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw):
+    """Child values and log weights (n g,): log w' = before + log p(theta'|theta) - |z0 - M x - theta' q|^2 / 2, three
+    dot products per parent. work (3, n) is scratch."""
+    nu, g = len(x), children.shape[1]
+    M = gain[3]
+    z_i, square, product = work[0], work[1], work[2]
+    square[:], product[:] = 0.0, 0.0
+    gamma = 0.0
+    for a in range(len(M)):
+        gamma += z[a, 1] * z[a, 1]
+        z_i[:] = z[a, 0]
+        sees = z[a, 1] != 0.0
+        for l in range(nu):
+            factor = M[a, l]
+            if factor != 0.0:
+                sees = True
+                for i in range(n):
+                    z_i[i] -= factor * x[l, i]
+        if sees:  # a measurement of known states alone weighs all particles equally
+            factor = z[a, 1]
+            for i in range(n):
+                square[i] += z_i[i] * z_i[i]
+                product[i] += z_i[i] * factor
+        elif not np.isfinite(z[a, 0]):
+            square[:] = np.nan
+    for i in range(n):
+        base = before[i] - 0.5 * square[i]
+        row = theta[i]
+        for j in range(g):
+            v = model.grid[children[row, j]]
+            value[i * g + j] = v
+            logw[i * g + j] = base + log_prior[row, j] + v * (product[i] - 0.5 * gamma * v)
+
+
+@njit(cache=True)
+def _moments(gain, e, x, w, value, owner, picked, count, work, out, s):
+    """Mean and covariance over the children, from sums over the parents (eqs. (19), (22)); writes column s of out."""
+    nu, n = len(x), len(work[0])
+    G, P = gain[5], gain[6]
+    weight, first, centred = work[0], work[1], work[2]
+    weight[:], first[:] = 0.0, 0.0
+    parameter, square = 0.0, 0.0
+    for c in range(count):
+        i, v = owner[picked[c]], value[picked[c]]
+        weight[i] += w[c]
+        first[i] += w[c] * v
+        parameter += w[c] * v
+        square += w[c] * v * v
+    variance = max(square - parameter * parameter, 0.0)
+    mean, cross, spread, off = np.empty(nu), np.empty(nu), np.empty((nu, nu)), np.empty((nu, n))
+    for i in range(n):
+        first[i] -= parameter * weight[i]
+    for l in range(nu):
+        mean[l] = _dot(weight, x[l], n)
+        for i in range(n):
+            off[l, i] = x[l, i] - mean[l]
+        cross[l] = _dot(first, off[l], n)
+    for l in range(nu):
+        for i in range(n):
+            centred[i] = weight[i] * off[l, i]
+        for m in range(l + 1):
+            spread[l, m] = spread[m, l] = _dot(centred, off[m], n)
+    moved = product(product(G, spread, False), G, True)
+    out.parameter[0, s] = parameter
+    for l in range(nu):
+        out.mean[l, s] = e[l, 0] + parameter * e[l, 1]
+        for m in range(nu):
+            out.mean[l, s] += G[l, m] * mean[m]
+            lean = 0.0
+            for k in range(nu):
+                lean += G[l, k] * cross[k] * e[m, 1] + G[m, k] * cross[k] * e[l, 1]
+            out.covariance[l, m, s] = P[l, m] + moved[l, m] + lean + variance * e[l, 1] * e[m, 1]
+
+
+@njit(cache=True)
+def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_weight, memoryless, optimal, commit,
+         out):
+    """Expand, weigh, estimate and (commit) select, for every run, with n particles each.
+
+    children, log_prior (m, g): grid indices theta' and log p(theta'|theta). u (S, inputs), y, received (S, ny), draws
+    (S, d): [0] for resampling, the others for the optimal proposal. keep: particles to select, 0 for all.
+    memoryless: weights (17), (18) without the parent's. commit = False: only `out`, the cloud stays as it is."""
+    runs, nu, _ = cloud.x.shape
+    g = children.shape[1]
+    logw, w, value = np.empty(n * g), np.empty(n * g), np.empty(n * g)
+    picked, owner, work, before = np.arange(n * g), np.arange(n * g) // g, np.empty((3, n)), np.zeros(n)
+    count = n if optimal else n * g
+    goes_on = keep if keep > 0 else count
+    index, kept, origin = np.empty(goes_on, np.int64), np.empty(goes_on), np.empty(goes_on, np.int64)
+    x_new, theta_new = np.empty((nu, goes_on)), np.empty(goes_on, np.int64)
+    seen, part = np.empty(len(model.grid), np.bool_), np.empty(g)
+    now, shift, e = np.empty(cloud.known.shape[1]), np.empty((nu, 2)), np.empty((nu, 2))
+    P_before, heard = cloud.P[0].copy(), received[0].copy()
+    gain = gain_of(model, P_before, heard)
+    for s in range(runs):
+        if not cloud.alive[s]:
+            continue
+        # Runs with the same history of receptions have the same covariance: its gain is computed once for them all.
+        if not (np.array_equal(cloud.P[s], P_before) and np.array_equal(received[s], heard)):
+            P_before[:], heard[:] = cloud.P[s], received[s]
+            gain = gain_of(model, P_before, heard)
+        x, theta, G = cloud.x[s], cloud.theta[s], gain[5]  # whole rows: contiguous, so that loops vectorise
+        z = np.empty((len(gain[0]), 2))
+        innovation(model, gain, cloud.known[s], u[s], y[s], now, shift, z, e)
+        if not memoryless:
+            before[:] = cloud.logw[s, :n]
+        _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw)
+        if optimal:
+            collapse(logw, n, g, draws[s], picked, part)
+        total = normalise(logw, count, w)
+        if np.isnan(total):
+            cloud.alive[s] = False
+            out.mean[:, s], out.known[:, s], out.parameter[0, s] = np.nan, np.nan, np.nan
+            out.covariance[:, :, s], out.diversity[s] = np.nan, np.nan
+            continue
+        _moments(gain, e, x, w, value, owner, picked, count, work, out, s)
+        out.known[:, s] = now
+        if not commit:
+            out.diversity[s] = distinct(theta, cloud.logw[s], n, seen)
+            continue
+        select(logw, w, count, total, keep, by_weight, draws[s, 0], index, kept)
+        for j in range(goes_on):
+            c = picked[index[j]]
+            origin[j] = owner[c]
+            theta_new[j] = children[theta[origin[j]], c - origin[j] * g]
+        for l in range(nu):
+            for j in range(goes_on):
+                x_new[l, j] = e[l, 0] + model.grid[theta_new[j]] * e[l, 1]
+            for m in range(nu):
+                factor = G[l, m]
+                if factor != 0.0:
+                    for j in range(goes_on):
+                        x_new[l, j] += factor * x[m, origin[j]]
+        cloud.x[s, :, :goes_on] = x_new
+        cloud.theta[s, :goes_on] = theta_new
+        cloud.logw[s, :goes_on] = kept
+        cloud.P[s], cloud.known[s] = gain[6], now
+        out.diversity[s] = distinct(theta_new, kept, goes_on, seen)
+    return goes_on

@@ -1,0 +1,252 @@
+"""The full step of the grid particle filters: every child its own Kalman prediction and update, as the paper writes it.
+
+The reference for the factorised step, and the one to use where modes differ by more than a known input."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..scenarios.model import Modes
+from .stochastic_m_select import collapse, distinct, normalise, select
+
+Array = NDArray[np.float64]
+CHUNK = 64
+
+
+class FullModes(NamedTuple):
+    """`scenarios.model.Modes` as plain arrays for the kernels; support (nx, nx): entries of A some mode fills."""
+
+    A: Array
+    B: Array
+    C: Array
+    Q: Array
+    R: Array
+    grid: Array
+    support: NDArray[np.bool_]
+
+
+class FullCloud(NamedTuple):
+    """Particles of all runs, particles innermost: x (S, nx, capacity), P (S, nx, nx, capacity), theta and logw
+    (S, capacity), alive (S,)."""
+
+    x: Array
+    P: Array
+    theta: NDArray[np.int64]
+    logw: Array
+    alive: NDArray[np.bool_]
+
+
+class FullMoments(NamedTuple):
+    """What a step hands out: mean (nx, S), parameter (1, S), covariance (nx, nx, S), diversity (S,)."""
+
+    mean: Array
+    parameter: Array
+    covariance: Array
+    diversity: Array
+
+
+def full_modes(modes: Modes) -> FullModes:
+    """The modes as the kernels take them."""
+    A, B, C, Q, R = (np.ascontiguousarray(part, dtype=float) for part in (modes.A, modes.B, modes.C, modes.Q, modes.R))
+    return FullModes(A, B, C, Q, R, np.ascontiguousarray(modes.grid, dtype=float), (A != 0).any(axis=0))
+
+
+def still(modes: FullModes) -> FullModes:
+    """The same modes with time standing still, for a second measurement at the same instant."""
+    eye = np.eye(len(modes.Q))
+    return modes._replace(A=np.repeat(eye[None], len(modes.A), axis=0), B=np.zeros_like(modes.B),
+                          Q=np.zeros_like(modes.Q), support=eye != 0)
+
+
+@njit(cache=True)
+def whitened(C, R, y, received):
+    """L^-1 C, L^-1 y of the received rows, L L' = R there: measurements to be used one at a time, variance 1 each."""
+    rows = np.nonzero(received)[0]
+    r, nx = len(rows), C.shape[1]
+    L, Cw, yw = np.zeros((r, r)), np.empty((r, nx)), np.empty(r)
+    for a in range(r):
+        for b in range(a + 1):
+            total = R[rows[a], rows[b]]
+            for l in range(b):
+                total -= L[a, l] * L[b, l]
+            L[a, b] = np.sqrt(total) if a == b else total / L[b, b]
+        for j in range(nx):
+            Cw[a, j] = C[rows[a], j]
+            for l in range(a):
+                Cw[a, j] -= L[a, l] * Cw[l, j]
+            Cw[a, j] /= L[a, a]
+        yw[a] = y[rows[a]]
+        for l in range(a):
+            yw[a] -= L[a, l] * yw[l]
+        yw[a] /= L[a, a]
+    return Cw, yw
+
+
+@njit(cache=True)
+def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
+    """Predict and update c particles, each with its own model, in place (eqs. (14) to (16), (20), (21)).
+
+    A (nx, nx, c'), drive B u (nx, c'), x (nx, c'), P (nx, nx, c'), c <= c'; Cw (r, nx), yw (r,) whitened. loglik (c',)
+    becomes log N(y; y^, S) up to the constant all particles share."""
+    nx = x.shape[0]
+    moved, AP = np.zeros((nx, c)), np.zeros((nx, nx, c))
+    PH, e, gain = np.empty((nx, c)), np.empty(c), np.empty(c)
+    for i in range(nx):
+        for k in range(c):
+            moved[i, k] = drive[i, k]
+        for l in range(nx):
+            if support[i, l]:
+                for k in range(c):
+                    moved[i, k] += A[i, l, k] * x[l, k]
+                for j in range(nx):
+                    for k in range(c):
+                        AP[i, j, k] += A[i, l, k] * P[l, j, k]
+    for i in range(nx):
+        for k in range(c):
+            x[i, k] = moved[i, k]
+        for j in range(i + 1):
+            for k in range(c):
+                P[i, j, k] = Q[i, j]
+            for l in range(nx):
+                if support[j, l]:
+                    for k in range(c):
+                        P[i, j, k] += AP[i, l, k] * A[j, l, k]
+            if j < i:
+                for k in range(c):
+                    P[j, i, k] = P[i, j, k]
+    loglik[:c] = 0.0
+    volume = np.ones(c)  # det S, so that one logarithm a child is enough
+    for a in range(len(yw)):
+        for k in range(c):
+            e[k], gain[k] = yw[a], 1.0
+        for i in range(nx):
+            PH[i, :] = 0.0
+            for j in range(nx):
+                factor = Cw[a, j]
+                if factor != 0.0:
+                    for k in range(c):
+                        PH[i, k] += P[i, j, k] * factor
+        for i in range(nx):
+            factor = Cw[a, i]
+            if factor != 0.0:
+                for k in range(c):
+                    e[k] -= factor * x[i, k]
+                    gain[k] += factor * PH[i, k]
+        for k in range(c):
+            volume[k] *= gain[k]
+            gain[k] = 1.0 / gain[k]
+            loglik[k] -= 0.5 * (e[k] * e[k] * gain[k])
+        for i in range(nx):
+            for k in range(c):
+                x[i, k] += PH[i, k] * (e[k] * gain[k])
+            for j in range(i + 1):
+                for k in range(c):
+                    P[i, j, k] -= PH[i, k] * PH[j, k] * gain[k]
+                if j < i:
+                    for k in range(c):
+                        P[j, i, k] = P[i, j, k]
+    for k in range(c):
+        loglik[k] -= 0.5 * np.log(volume[k])
+
+
+@njit(cache=True)
+def mixture(w, n, values, x, P, mean, covariance):
+    """Into mean (nx,), covariance (nx, nx): moments of n weighted Gaussians x (nx, n), P (nx, nx, n). Returns the mean
+    of `values` (n,)."""
+    nx = x.shape[0]
+    parameter = 0.0
+    for c in range(n):
+        parameter += w[c] * values[c]
+    for i in range(nx):
+        mean[i] = 0.0
+        for c in range(n):
+            mean[i] += w[c] * x[i, c]
+    for i in range(nx):
+        for j in range(i + 1):
+            total = 0.0
+            for c in range(n):
+                total += w[c] * (P[i, j, c] + (x[i, c] - mean[i]) * (x[j, c] - mean[j]))
+            covariance[i, j] = covariance[j, i] = total
+    return parameter
+
+
+@njit(cache=True)
+def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_weight, memoryless, optimal, commit,
+         out):
+    """As `stochastic_m_factorised.step`, with a Kalman filter per child."""
+    runs, nx, _ = cloud.x.shape
+    g = children.shape[1]
+    size = n * g
+    goes_on = keep if keep > 0 else (n if optimal else size)
+    x, P = np.empty((nx, size)), np.empty((nx, nx, size))
+    block_x, block_P, A = np.empty((nx, CHUNK)), np.empty((nx, nx, CHUNK)), np.empty((nx, nx, CHUNK))
+    drive, loglik = np.empty((nx, CHUNK)), np.empty(CHUNK)
+    logw, w, value, mode = np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.int64)
+    picked, index, kept = np.arange(size), np.empty(goes_on, np.int64), np.empty(goes_on)
+    theta_new, seen, part = np.empty(goes_on, np.int64), np.empty(len(model.grid), np.bool_), np.empty(g)
+    mean, covariance = np.empty(nx), np.empty((nx, nx))
+    Bu = np.empty((len(model.grid), nx))
+    for s in range(runs):
+        if not cloud.alive[s]:
+            continue
+        Cw, yw = whitened(model.C, model.R, y[s], received[s])
+        for m in range(len(model.grid)):
+            for i in range(nx):
+                Bu[m, i] = 0.0
+                for l in range(u.shape[1]):
+                    Bu[m, i] += model.B[m, i, l] * u[s, l]
+        for begin in range(0, size, CHUNK):
+            c = min(CHUNK, size - begin)
+            for k in range(c):
+                parent = (begin + k) // g
+                m = children[cloud.theta[s, parent], begin + k - parent * g]
+                mode[begin + k], value[begin + k] = m, model.grid[m]
+                for i in range(nx):
+                    block_x[i, k], drive[i, k] = cloud.x[s, i, parent], Bu[m, i]
+                    for j in range(nx):
+                        block_P[i, j, k], A[i, j, k] = cloud.P[s, i, j, parent], model.A[m, i, j]
+            kalman_block(A, drive, model.support, model.Q, Cw, yw, block_x, block_P, loglik, c)
+            for i in range(nx):
+                x[i, begin:begin + c] = block_x[i, :c]
+                for j in range(nx):
+                    P[i, j, begin:begin + c] = block_P[i, j, :c]
+            for k in range(c):
+                parent = (begin + k) // g
+                row = cloud.theta[s, parent]
+                before = 0.0 if memoryless else cloud.logw[s, parent]
+                logw[begin + k] = before + log_prior[row, begin + k - parent * g] + loglik[k]
+        count = size
+        if optimal:
+            collapse(logw, n, g, draws[s], picked, part)
+            count = n
+            for i in range(n):  # picked[i] >= i: nothing still to be read is overwritten
+                mode[i], value[i] = mode[picked[i]], value[picked[i]]
+                x[:, i], P[:, :, i] = x[:, picked[i]], P[:, :, picked[i]]
+        total = normalise(logw, count, w)
+        if np.isnan(total):
+            cloud.alive[s] = False
+            out.mean[:, s], out.parameter[0, s] = np.nan, np.nan
+            out.covariance[:, :, s], out.diversity[s] = np.nan, np.nan
+            continue
+        out.parameter[0, s] = mixture(w, count, value, x, P, mean, covariance)
+        out.mean[:, s], out.covariance[:, :, s] = mean, covariance
+        if not commit:
+            out.diversity[s] = distinct(cloud.theta[s], cloud.logw[s], n, seen)
+            continue
+        goes_on = select(logw, w, count, total, keep, by_weight, draws[s, 0], index, kept)
+        for j in range(goes_on):
+            theta_new[j] = mode[index[j]]
+        for i in range(nx):
+            for j in range(goes_on):
+                cloud.x[s, i, j] = x[i, index[j]]
+            for l in range(nx):
+                for j in range(goes_on):
+                    cloud.P[s, i, l, j] = P[i, l, index[j]]
+        cloud.theta[s, :goes_on] = theta_new
+        cloud.logw[s, :goes_on] = kept
+        out.diversity[s] = distinct(theta_new, kept, goes_on, seen)
+    return goes_on

@@ -1,0 +1,127 @@
+"""Weights and selection of a weighted cloud of particles, one run at a time, compiled.
+
+Weights are logarithms throughout: a floor on weights would decide which particles live."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def normalise(logw, n, w):
+    """w[i] = exp(logw[i]) / sum over the first n; returns log sum exp, or NaN when all weights vanish."""
+    top = -np.inf
+    for i in range(n):
+        if logw[i] > top:
+            top = logw[i]
+    if not top > -np.inf or top == np.inf:
+        return np.nan
+    total = 0.0
+    for i in range(n):
+        w[i] = np.exp(logw[i] - top)
+        total += w[i]
+    if not total > 0.0:
+        return np.nan
+    for i in range(n):
+        w[i] /= total
+    return top + np.log(total)
+
+
+@njit(cache=True)
+def collapse(logw, n, g, draws, picked, part):
+    """Optimal proposal, eqs. (9), (12), (13): one of the g children of each of n parents, drawn by its weight.
+
+    logw (n g,) is overwritten in its first n places by the parents' log sums (place i lies before every child still
+    to be read); picked[i] = index of i's child. draws[1 + i]: parent i's uniform. part (g,) is scratch."""
+    for i in range(n):
+        first = i * g
+        top = -np.inf
+        for j in range(g):
+            if logw[first + j] > top:
+                top = logw[first + j]
+        if not top > -np.inf:
+            picked[i], logw[i] = first, -np.inf
+            continue
+        total = 0.0
+        for j in range(g):
+            part[j] = np.exp(logw[first + j] - top)
+            total += part[j]
+        target = draws[1 + i] * total
+        reached = 0.0
+        for j in range(g):
+            if part[j] > 0.0:
+                picked[i] = first + j
+            reached += part[j]
+            if reached > target:
+                break
+        logw[i] = top + np.log(total)
+
+
+@njit(cache=True)
+def systematic(w, n, keep, uniform, index):
+    """Systematic resampling: index[j] of the particle under (uniform + j) / keep. Never one of weight zero."""
+    last = n - 1
+    while last > 0 and w[last] == 0.0:
+        last -= 1
+    i = 0
+    reached = w[0]
+    for j in range(keep):
+        target = (uniform + j) / keep
+        while reached <= target and i < last:
+            i += 1
+            reached += w[i]
+        index[j] = i
+
+
+@njit(cache=True)
+def heaviest(logw, n, keep, index):
+    """The keep particles of largest weight, in their order; of equals the first."""
+    threshold = -np.partition(-logw[:n], keep - 1)[keep - 1]
+    above = 0
+    for i in range(n):
+        if logw[i] > threshold:
+            above += 1
+    ties = keep - above
+    j = 0
+    for i in range(n):
+        if logw[i] > threshold:
+            index[j] = i
+            j += 1
+        elif logw[i] == threshold and ties > 0:
+            index[j] = i
+            ties -= 1
+            j += 1
+
+
+@njit(cache=True)
+def select(logw, w, n, total, keep, by_weight, uniform, index, kept):
+    """Fill index (and the kept ones' log weights) with the particles that go on; returns how many.
+
+    keep = 0: all of them, weights normalised by their log sum `total`. by_weight: the heaviest, weights kept (they are
+    biased: page of the scenario); else systematic resampling, equal weights."""
+    if keep == 0:
+        for i in range(n):
+            index[i], kept[i] = i, logw[i] - total
+        return n
+    if by_weight:
+        heaviest(logw, n, keep, index)
+        for j in range(keep):
+            kept[j] = logw[index[j]] - total
+        return keep
+    systematic(w, n, keep, uniform, index)
+    for j in range(keep):
+        kept[j] = 0.0
+    return keep
+
+
+@njit(cache=True)
+def distinct(theta, logw, n, seen):
+    """How many different parameter values the first n particles of non-zero weight have; seen (m,) is scratch."""
+    seen[:] = False
+    count = 0
+    for i in range(n):
+        if logw[i] > -np.inf and not seen[theta[i]]:
+            seen[theta[i]] = True
+            count += 1
+    return count

@@ -1,0 +1,65 @@
+"""Where a grid parameter may go in one step: transition matrices and the groups of the stochastic M-algorithm.
+
+Shared by the particle filters and the interacting multiple model filter, so that their priors can be equal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scenarios.errors import Unsupported
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def uniform(m: int) -> Array:
+    """Every value equally likely, whatever the present one. Shape (m, m)."""
+    return np.full((m, m), 1 / m)
+
+
+def tridiagonal(m: int, stay: float) -> Array:
+    """Stay with probability `stay`, else one grid value up or down, equally likely where there are both. (m, m)."""
+    if m == 1:
+        return np.ones((1, 1))
+    out = np.diag(np.full(m, stay))
+    for i in range(m):
+        neighbours = [j for j in (i - 1, i + 1) if 0 <= j < m]
+        out[i, neighbours] = (1 - stay) / len(neighbours)
+    return out
+
+
+def everywhere(m: int) -> Index:
+    """The SMA's children: every grid value from every other. (m, m)."""
+    return np.repeat(np.arange(m)[None], m, axis=0)
+
+
+def triples(grid: Array, printed: bool) -> Index:
+    """The GSMA's children: of all groups of three neighbours the one whose mean is nearest the value. Shape (m, 3).
+
+    printed: without the group of the three largest values, as the paper's list of eight has it. Raises Unsupported
+    when the grid is too short."""
+    m = len(grid)
+    starts = np.arange(m - 2)
+    if printed:
+        starts = np.delete(starts, np.argmax([grid[s:s + 3].mean() for s in starts])) if m > 2 else starts
+    if len(starts) == 0:
+        raise Unsupported(f"groups of three need a grid of at least {4 if printed else 3} values; this one has {m}")
+    centres = np.array([grid[s:s + 3].mean() for s in starts])
+    # Rounding must not decide between two groups equally near: distances are compared to nine digits.
+    nearest = starts[np.argmin(np.round(np.abs(grid[:, None] - centres), 9), axis=1)]
+    return nearest[:, None] + np.arange(3)
+
+
+def within(children: Index) -> Array:
+    """Every child of a value equally likely: the SMA's and GSMA's own prior as a transition matrix, (m, m)."""
+    m, g = children.shape
+    out = np.zeros((m, m))
+    np.put_along_axis(out, children, 1 / g, axis=1)
+    return out
+
+
+def log_prior(transition: Array, children: Index) -> Array:
+    """log p(theta'|theta) of each child, (m, g); minus infinity where the transition forbids it."""
+    with np.errstate(divide="ignore"):
+        return np.log(np.take_along_axis(transition, children, axis=1))

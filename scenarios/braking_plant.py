@@ -1,0 +1,188 @@
+"""The brake plant of Zheng et al. 2015, eq. (4), discretised exactly, and what estimators are told of it.
+
+Kept apart from the setting so that truth and design model share one discretisation and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from .model import Array, DesignModel, Linear, Modes, Portion, linear_model
+
+STATES = ("displacement", "speed", "control-acceleration", "target-acceleration")
+PARAMETER = "f"
+
+
+@dataclass(frozen=True)
+class Affine:
+    """x(k+1) = (A0 + f A1) x(k) + (B0 + f B1) a_t, exact zero-order hold over one sampling period.
+
+    A0, A1 (4, 4), B0, B1 (4, 1). Affine in f without approximation: f enters the chain a_z -> a^ -> v -> D once."""
+
+    A0: Array
+    A1: Array
+    B0: Array
+    B1: Array
+
+    def at(self, f: float) -> tuple[Array, Array]:
+        """Transition and input matrix for the braking rate f."""
+        return self.A0 + f * self.A1, self.B0 + f * self.B1
+
+    def step(self, x: Array, f: Array | float, target: Array | float) -> Array:
+        """One period: x (4, .., S), f and a_t (.., S) or numbers. Sums over the small index, so batch-independent."""
+        out = np.zeros_like(x)
+        for i in range(4):
+            for j in range(4):
+                if self.A0[i, j] != 0.0:
+                    out[i] += self.A0[i, j] * x[j]
+                if self.A1[i, j] != 0.0:
+                    out[i] += f * (self.A1[i, j] * x[j])
+            out[i] += (self.B0[i, 0] + f * self.B1[i, 0]) * target
+        return out
+
+
+def discretise(response_time: float, pade_rate: float, period: float) -> Affine:
+    """Exact discretisation of eq. (4) over `period` seconds (Euler is unstable at 1 s: 1 - 1/0.4 = -1.5)."""
+    held = []
+    for f in (0.0, 1.0):
+        block = np.zeros((5, 5))
+        block[0, 1] = block[1, 2] = 1.0
+        block[2, 2], block[2, 3], block[2, 4] = -1 / response_time, f / response_time, -f / response_time
+        block[3, 3], block[3, 4] = -pade_rate, 2 * pade_rate
+        held.append(expm(period * block))
+    off, on = held
+    change = on - off
+    change[np.abs(change) < 1e-15] = 0.0
+    return Affine(off[:4, :4], change[:4, :4], off[:4, 4:], change[:4, 4:])
+
+
+@dataclass(frozen=True)
+class Told:
+    """What every design model of the brake shares. initial_mean (4, S), initial_variance (4,), C (ny, 4), R (ny, ny).
+
+    speed_variance: process noise per step on v, (m/s)^2."""
+
+    plant: Affine
+    period: float
+    initial_mean: Array
+    initial_variance: Array
+    speed_variance: float
+    C: Array
+    R: Array
+    measurements: tuple[str, ...]
+
+
+def grid_model(told: Told, grid: Array, nominal: float) -> DesignModel:
+    """The four-state model with one mode per grid value of f; its plain linear part believes f = `nominal`."""
+    matrices = [told.plant.at(float(value)) for value in grid]
+    Q = np.diag([0.0, told.speed_variance, 0.0, 0.0])
+    modes = Modes(PARAMETER, grid, np.array([A for A, _ in matrices]), np.array([B for _, B in matrices]), told.C, Q,
+                  told.R, np.full(len(grid), 1 / len(grid)))
+    A, B = told.plant.at(nominal)
+    zero = np.zeros(4)
+    linear = Linear(lambda k: A, lambda k: B, lambda k: zero, lambda k: told.C, lambda k: Q, lambda k: told.R)
+    return linear_model(linear, states=STATES, measurements=told.measurements, period=told.period,
+                        initial_mean=told.initial_mean, initial_covariance=np.diag(told.initial_variance)[:, :, None],
+                        modes=modes)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """f as a random walk: f(0) ~ N(mean, variance), step variance `step`; target_variance keeps a_z's covariance
+    positive (the plant itself has no noise there)."""
+
+    mean: float
+    variance: float
+    step: float
+    target_variance: float
+
+    def start(self, told: Told) -> tuple[Array, Array]:
+        """Initial mean (5, S) and covariance (5, 5, 1)."""
+        runs = told.initial_mean.shape[1]
+        mean = np.concatenate([told.initial_mean, np.full((1, runs), self.mean)])
+        return mean, np.diag([*told.initial_variance, self.variance])[:, :, None]
+
+    def covariance(self, gain: Array, speed_variance: float) -> Array:
+        """Process covariance (5, 5, S) when f's step moves (D, v, a^) by gain (3, S): f(k+1) acts on the step into
+        k + 1, so its noise does too."""
+        runs = gain.shape[1]
+        out = np.zeros((5, 5, runs))
+        direction = np.concatenate([gain, np.zeros((1, runs)), np.ones((1, runs))])
+        for i in range(5):
+            for j in range(5):
+                out[i, j] = self.step * (direction[i] * direction[j])
+        out[1, 1] += speed_variance
+        out[3, 3] += self.target_variance
+        return out
+
+
+def augmented_model(told: Told, walk: Walk) -> DesignModel:
+    """The state with f appended, x = (D, v, a^, a_z, f): bilinear in f and a_z, whole steps only."""
+    plant = told.plant
+    mean, covariance = walk.start(told)
+    C = np.hstack([told.C, np.zeros((told.C.shape[0], 1))])
+
+    def sensitivity(x: Array, target: Array) -> Array:
+        """d (D, v, a^) / d f, shape (3, S)."""
+        return np.stack([plant.A1[i, 3] * x[3] + plant.B1[i, 0] * target for i in range(3)])
+
+    def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        return np.concatenate([plant.step(x[:4], x[4], u[0]), x[4:]])
+
+    def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        out = np.zeros((5, 5, x.shape[1]))
+        out[:4, :4] = plant.A0[:, :, None]
+        out[:4, :4] += plant.A1[:, :, None] * x[4]
+        out[:3, 4] = sensitivity(x, u[0])
+        out[4, 4] = 1.0
+        return out
+
+    def measurement(x: Array, k: int) -> Array:
+        out = np.zeros((C.shape[0], *x.shape[1:]))
+        for row, column in zip(*np.nonzero(C), strict=True):
+            out[row] += C[row, column] * x[column]
+        return out
+
+    return DesignModel(
+        states=(*STATES, PARAMETER),
+        measurements=told.measurements,
+        period=told.period,
+        transition=transition,
+        measurement=measurement,
+        transition_jacobian=jacobian,
+        measurement_jacobian=lambda x, k: C[:, :, None],
+        process_covariance=lambda x, u, k, portion: walk.covariance(sensitivity(x, u[0]), told.speed_variance),
+        measurement_covariance=lambda k: told.R[:, :, None],
+        initial_mean=mean,
+        initial_covariance=covariance,
+    )
+
+
+def scheduled_model(told: Told, walk: Walk, targets: Array) -> DesignModel:
+    """The augmented state with a_z taken as known: linear in (D, v, a^, f), time-varying through a_z and a_t.
+
+    targets (K,): a_t over the step into k. a_z follows from it without noise, the same in every run, so the ordinary
+    Kalman filter is exact here. The commanded profile is knowledge of the brake controller, not of the truth."""
+    plant = told.plant
+    steps = len(targets)
+    x = told.initial_mean[:, :1]
+    gains = np.empty((steps, 3))
+    for k, target in enumerate(targets):
+        gains[k] = [plant.A1[i, 3] * x[3, 0] + plant.B1[i, 0] * target for i in range(3)]
+        x = plant.step(x, 0.0, float(target))
+    A = np.zeros((steps, 5, 5))
+    A[:, :4, :4] = plant.A0
+    A[:, :3, 4] = gains
+    A[:, 4, 4] = 1.0
+    Q = np.stack([walk.covariance(gain[:, None], told.speed_variance)[:, :, 0] for gain in gains])
+    B = np.concatenate([plant.B0, np.zeros((1, 1))])
+    C = np.hstack([told.C, np.zeros((told.C.shape[0], 1))])
+    zero = np.zeros(5)
+    mean, covariance = walk.start(told)
+    last = steps - 1
+    linear = Linear(lambda k: A[min(k, last)], lambda k: B, lambda k: zero, lambda k: C, lambda k: Q[min(k, last)],
+                    lambda k: told.R, constant=False)
+    return linear_model(linear, states=(*STATES, PARAMETER), measurements=told.measurements, period=told.period,
+                        initial_mean=mean, initial_covariance=covariance)
