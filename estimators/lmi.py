@@ -103,18 +103,18 @@ def _certificate(system: ErrorSystem, theta: float, K: Array | None, multipliers
         if status == "optimal":
             residual = form.residual()
             if residual < 1e-6:
-                bound = float(form.cost.value) / (1 - theta)
-                return Certificate(theta, bound, form.gain() if K is None else K, form.lyapunov(), solver, status,
+                gain = form.gain() if K is None else K
+                return Certificate(theta, form.value / (1 - theta), gain, form.lyapunov(), solver, status,
                                    perf_counter() - begun, residual)
             status = f"optimal, but its LMI is violated by {residual:.1e}"
         statuses.append(status)
         if ladder == _LADDER[0]:
-            excess = _Form(system, theta, K, multipliers, ladder)
-            if solve(excess.least_excess(), solver) == "optimal" and float(excess.excess.value) > 1e-6:
+            excess = _Form(system, theta, K, multipliers, ladder).least_excess(solver)
+            if excess > 1e-6:
                 what = ("the decay constraint (14) of Theorem 1 fails for this gain" if K is not None else
                         "the decay constraint (23) of Corollary 1 has no solution")
                 raise Infeasible(f"no certificate at theta = {theta:g}: {what} (least violation "
-                                 f"{float(excess.excess.value):.2g}, {solver}); try theta closer to 1, fewer "
+                                 f"{excess:.2g}, {solver}); try theta closer to 1, fewer "
                                  "contending trains or a narrower range of reception probabilities")
     raise Infeasible(f"no trustworthy certificate at theta = {theta:g}: {solver} ends with "
                      f"{', '.join(dict.fromkeys(statuses))} on constraints "
@@ -167,10 +167,10 @@ class _Form:
             second = second + (node.mean**2 + node.variance) * arriving[-1]
             noise = noise + node.largest * cp.trace(Oi.T @ W @ Oi)
         drop = Y @ (means[:, None] * C)
-        blocks = [[A.T @ P @ A - A.T @ drop - drop.T @ A + second - theta * P]]
+        blocks: list[list[Any]] = [[A.T @ P @ A - A.T @ drop - drop.T @ A + second - theta * P]]
         spread = max(node.spread for node in system.nodes)
         if spread > 0:
-            if len(system.nodes) > 1:
+            if len(arriving) > 1:
                 raise ValueError("several nodes need exact probabilities (spread 0)")
             if free:
                 shape: Any = cp.Variable((nx, nx), symmetric=True)
@@ -194,19 +194,26 @@ class _Form:
             blocks.append([*[block.T for block in side], E.T @ P @ E - limit])
             two = cp.sum(two)
         self.whole = symmetric(cp.bmat(blocks))
-        self.cost, self.P, self.Y, self.conditions = noise + two, P, Y, conditions
-        self.excess = cp.Variable()
+        self.P, self.Y, self.conditions = P, Y, conditions
+        self.cost: Any = noise + two
 
     def least_bound(self) -> Any:
         """Corollary 1 (26), or the same objective for a given gain."""
         return self.cp.Problem(self.cp.Minimize(self.cost), [*self.conditions, self.whole << 0])
 
-    def least_excess(self) -> Any:
-        """How far the decay constraint is from a solution: a problem that always has one. Forces are left out, since
-        lambda_2 can be as large as it likes."""
-        margin = self.excess * np.eye(self.decay.shape[0])
-        return self.cp.Problem(self.cp.Minimize(self.excess), [*self.conditions, self.decay << margin,
-                                                               self.excess >= -1])
+    @property
+    def value(self) -> float:
+        """The objective (26) at the solution."""
+        return float(self.cost.value)
+
+    def least_excess(self, solver: str) -> float:
+        """How far the decay constraint is from having a solution: a problem that always has one, so that its answer
+        can be trusted where the other's cannot. Forces are left out, since lambda_2 can be as large as it likes.
+        -1 (the least allowed) or below 0: it has one; NaN: this problem was not solved either."""
+        excess: Any = self.cp.Variable()
+        margin = excess * np.eye(self.decay.shape[0])
+        problem = self.cp.Problem(self.cp.Minimize(excess), [*self.conditions, self.decay << margin, excess >= -1])
+        return float(excess.value) if solve(problem, solver) == "optimal" else np.nan
 
     def residual(self) -> float:
         values = np.linalg.eigvalsh(self.whole.value)
@@ -225,14 +232,14 @@ def symmetric(block: Any) -> Any:
 
 
 def solve(problem: Any, solver: str) -> str:
-    """Solve and return the status; a solver that gives up is a status too, never an exception."""
-    import cvxpy as cp
+    """Solve a cvxpy problem and return the status; a solver that gives up is a status too, never an exception."""
+    from cvxpy.error import SolverError
 
     options = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 200_000} if solver == "SCS" else {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "may be inaccurate": the status says so, and it is looked at
         try:
             problem.solve(solver=solver, **options)
-        except cp.error.SolverError:
+        except SolverError:
             return "solver_error"
     return str(problem.status)

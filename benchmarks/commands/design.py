@@ -1,0 +1,187 @@
+"""`railstate design` and `certify`: gains and their certified bounds, offline, before any run.
+
+A design is a scenario's estimators' own `design` step; a certificate is Theorem 1 put to any gain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+from matplotlib.figure import Figure
+
+from ...estimators.interface import Estimator
+from ...estimators.lmi_decay import trade_off
+from ...estimators.registry import estimator_class
+from ...estimators.ultimate_bound import FixedGain, error_system
+from ...scenarios.errors import Infeasible, InputError, Unsupported
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import Streams
+from ...scenarios.setting import Setting
+from ..console import print_table
+from ..drive import prepare
+from ..plan import find
+from .options import Estimators, Sets, overrides, words
+
+Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
+Delta = Annotated[float | None, typer.Option(help="sqrt(sum delta_i^2) in newtons (the scenario's resistive law).")]
+Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="Built-in name, NAME/VARIANT, or a TOML file.")]
+
+
+def design(
+    scenario: Scenario,
+    estimators: Estimators = "",
+    theta: Theta = None,
+    delta: Delta = None,
+    trade: Annotated[str, typer.Option("--trade-off", metavar="T,T,..",
+                                       help="Certified bound against these decays instead, such as 0.97,0.98.")] = "",
+    plot: Annotated[str, typer.Option(help="Draw the trade-off into this file (.svg, .pdf, .png).")] = "",
+    out: Annotated[str, typer.Option(help="Write each gain to FOLDER/LABEL.csv, as `certify --gain` reads it.")] = "",
+    set_: Sets = [],  # noqa: B006
+) -> None:
+    """Design a scenario's estimators and print gains and certified bounds."""
+    setting, name, variant = _setting(scenario, theta, delta, set_)
+    if plot and not trade:
+        raise InputError("--plot: draws the trade-off, so it needs --trade-off")
+    if trade:
+        _trade_off(setting, name, variant, _thetas(trade), plot)
+        return
+    rows: list[dict[str, Any]] = []
+    gains: dict[str, np.ndarray] = {}
+    for label in _labels(setting, estimators):
+        entry = setting.config.estimators[label]
+        found = _designed(setting, name, variant, estimator_class(entry.plugin, name), entry.parameters,
+                          entry.knowledge)
+        if found.row:
+            rows.append({"estimator": label, **found.row})
+        if found.gain is not None:
+            gains[label] = found.gain
+    if not rows:
+        raise InputError(f"{name}/{variant}: none of these estimators has anything to design")
+    print_table(f"Designs of {name}/{variant}", pd.DataFrame(rows))
+    for label, gain in gains.items():
+        _print_gain(f"Gain of {label}", gain)
+        if out:
+            Path(out).mkdir(parents=True, exist_ok=True)
+            np.savetxt(Path(out) / f"{label}.csv", gain, delimiter=",", fmt="%.17g")
+
+
+def certify(
+    scenario: Scenario,
+    gain: Annotated[str, typer.Option(metavar="FILE.csv", help="The gain K, one row a line, predictor form.")],
+    theta: Theta = None,
+    delta: Delta = None,
+    set_: Sets = [],  # noqa: B006
+) -> None:
+    """Put any gain through Theorem 1: the least bound that can be certified for it. Exit code 1: there is none."""
+    setting, name, variant = _setting(scenario, theta, delta, set_)
+    rows = []
+    for multipliers in ("scalar", "free"):
+        found = _designed(setting, name, variant, FixedGain, {"gain": gain, "multipliers": multipliers}, {})
+        rows.append({"multipliers": {"scalar": "scalar (Theorem 1)", "free": "free (tighter)"}[multipliers],
+                     **found.row})
+    print_table(f"Certificates of {gain} on {name}/{variant}", pd.DataFrame(rows))
+    if all(row["bound"] == "none" for row in rows):
+        raise typer.Exit(1)
+
+
+@dataclass(frozen=True)
+class _Designed:
+    row: dict[str, str]
+    gain: np.ndarray | None = None
+
+
+def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimator], parameters: dict[str, Any],
+              knowledge: dict[str, Any]) -> _Designed:
+    """One row of the table; empty for an estimator that designs nothing. A gain that does not fit is an InputError."""
+    try:
+        estimator, model = _prepare(setting, name, variant, cls, parameters, knowledge)
+        info = estimator.design(model)
+    except Unsupported as reason:
+        if cls is FixedGain and "gain" in parameters:
+            raise InputError(str(reason)) from None
+        return _Designed({"bound": "none", "status": f"unsupported: {reason}"})
+    except Infeasible as reason:
+        return _Designed({"bound": "none", "status": f"infeasible: {reason}"})
+    if "gain" not in info:
+        return _Designed({})
+    bound, seconds = info["bound"], info.get("design_s")
+    return _Designed({
+        "bound": "none" if bound is None else f"{bound:.6g}",
+        "decay theta": f"{info['theta']:.6g}",
+        "solver": info.get("solver", ""),
+        "seconds": "" if seconds is None else f"{seconds:.2f}",
+        "from": "" if seconds is None else "cache" if info["cached"] else "solver",
+        "status": info["status"],
+    }, info["gain"])
+
+
+def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator], parameters: dict[str, Any],
+             knowledge: dict[str, Any]) -> tuple[Estimator, DesignModel]:
+    world = setting.world(Streams(0, name, variant, (0,)))
+    return prepare(setting, cls, parameters, knowledge, world.initial_mean)
+
+
+def _setting(scenario: str, theta: float | None, delta: float | None, set_: list[str]) -> tuple[Setting[Any], str, str]:
+    told = {"knowledge.theta": theta, "knowledge.delta": delta}
+    found, variants = find(scenario, {**overrides(set_), **{k: v for k, v in told.items() if v is not None}})
+    return found.setting(variants[0]), found.name, variants[0]
+
+
+def _labels(setting: Setting[Any], only: str) -> list[str]:
+    known = setting.config.estimators
+    for label in words(only):
+        if label not in known:
+            raise InputError(f"{setting.config.name}: there is no estimator \"{label}\"; allowed: {', '.join(known)}")
+    return words(only) or list(known)
+
+
+def _thetas(text: str) -> list[float]:
+    try:
+        thetas = [float(word) for word in words(text)]
+    except ValueError:
+        thetas = []
+    if not thetas or not all(0 < theta < 1 for theta in thetas):
+        raise InputError(f"--trade-off {text}: expected decays between 0 and 1, such as 0.97,0.98,0.99")
+    return thetas
+
+
+def _trade_off(setting: Setting[Any], name: str, variant: str, thetas: list[float], plot: str) -> None:
+    """Certified bound of Corollary 1 against the decay, as a table and, where asked for, a figure."""
+    world = setting.world(Streams(0, name, variant, (0,)))
+    try:
+        found = trade_off(error_system(setting.design_model({}, world.initial_mean)), thetas)
+    except Unsupported as reason:
+        raise InputError(f"{name}/{variant}: {reason}") from None
+    rows = [{"decay theta": f"{theta:g}", "bound": "none", "status": str(item)} if isinstance(item, Infeasible) else
+            {"decay theta": f"{theta:g}", "bound": f"{item.bound:.5g}", "status": item.status}
+            for theta, item in found]
+    print_table(f"Certified bound on E |z~|^2 against decay, {name}/{variant}", pd.DataFrame(rows))
+    if not plot:
+        return
+    points = sorted((theta, item.bound) for theta, item in found if not isinstance(item, Infeasible))
+    figure = Figure(figsize=(5.5, 3.6), layout="constrained")
+    axes = figure.subplots()
+    axes.semilogy([theta for theta, _ in points], [bound for _, bound in points], "o-")
+    for theta, item in found:
+        if isinstance(item, Infeasible):
+            axes.axvline(theta, color="0.7", linestyle=":", label="no certificate")
+    if len(points) < len(found):
+        handles, labels = axes.get_legend_handles_labels()
+        axes.legend(handles[:1], labels[:1])
+    axes.set_xlabel("decay theta per step")
+    axes.set_ylabel("certified bound on E |z~|^2")
+    axes.grid(True, alpha=0.3)
+    try:
+        figure.savefig(plot)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--plot {plot}: cannot be written: {error}") from None
+
+
+def _print_gain(title: str, gain: np.ndarray) -> None:
+    rows = [{"": f"row {i + 1}", **{f"{j + 1}": f"{value:.5g}" for j, value in enumerate(row)}}
+            for i, row in enumerate(gain)]
+    print_table(title, pd.DataFrame(rows))
