@@ -308,29 +308,39 @@ def paragraph(rows: pd.DataFrame, manifest: Mapping[str, Any], scenario: str) ->
         sentences += _over_variants(tops)
     if oracles:
         sentences.append(f"{listing(sorted(oracles))}: not ranked, since told what the others must estimate.")
-    for kind, template in _BREACHES.items():
-        for label, found in breaches.get(kind, {}).items():
-            where = "" if total == 1 else f" in {'all' if len(found) == total else f'{len(found)} of'} {total} variants"
-            worst = max(breach.size for breach in found)
-            size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
-            sentences.append(template.format(label=label, where=where, size=size))
+    sentences += [_breach_words(kind, found, total) for kind in _BREACHES if (found := breaches.get(kind))]
     if not breaches:
         sentences.append("Nobody broke a promise, and no run failed.")
     return sentences
 
 
 _BREACHES = {
-    "nees": "{label} is too sure of itself{where} (ANEES up to {size}; 1 is right).",
-    "set": "{label} promises a set that always holds the truth, and leaves it{where} (in up to {size} of the runs).",
-    "bound": "{label} exceeds its certified bound{where} (by up to {size} times).",
-    "status": "{label} has runs that diverged, failed or could not be designed{where} (up to {size} of the runs).",
+    "nees": ("Too sure of its own errors", "ANEES up to {size}, 1 is right"),
+    "set": ("Promises a set that always holds the truth, and leaves it", "in up to {size} of the runs"),
+    "bound": ("Exceeds its certified bound", "by up to {size} times"),
+    "status": ("Has runs that diverged, failed or could not be designed", "up to {size} of the runs"),
 }
+
+
+def _breach_words(kind: str, found: Mapping[str, list[Breach]], total: int) -> str:
+    """`Too sure of its own errors: a and b in 5 of 8 variants (ANEES up to 10, 1 is right); c in ..`"""
+    title, template = _BREACHES[kind]
+    alike: dict[tuple[int, str], list[str]] = {}
+    for label, items in sorted(found.items(), key=lambda item: -len(item[1])):
+        worst = max(breach.size for breach in items)
+        size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
+        alike.setdefault((len(items), size), []).append(label)
+    parts = []
+    for place, ((times, size), labels) in enumerate(alike.items()):
+        where = "" if total == 1 else " in all variants" if times == total else f" in {times} of {total} variants"
+        parts.append(f"{listing(labels)}{where} ({template.format(size=size) if place == 0 else f'up to {size}'})")
+    return f"{title}: {'; '.join(parts)}."
 
 
 def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str, Judged]]],
                      about: Mapping[str, Any]) -> list[str]:
-    """`Variant white: a is best (position 0.11 m), b ties with it; the next, c, is 5 to 6 % worse, ..`"""
-    groups: dict[tuple[Any, ...], list[tuple[str, list[Judged]]]] = {}
+    """`Variant white: a is best (position 0.11 m), b ties with it; the next, c, has 5 to 6 % more error, ..`"""
+    groups: dict[tuple[str, tuple[str, ...]], list[tuple[str, str, list[Judged]]]] = {}
     for quantity, (unit, metric, found) in judged.items():
         best = next((j for j in found.values() if j.verdict == "best"), None)
         if best is None:
@@ -338,20 +348,32 @@ def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str
         ties = tuple(j.estimator for j in found.values() if j.verdict == "tie")
         worse = sorted((j for j in found.values() if j.verdict == "worse" and j.against),
                        key=lambda j: j.against.relative if j.against else 0.0)
-        ends = worse[:1] + worse[1:][-1:]
         shown, factor = shown_unit(about, metric, quantity, unit)
         value = f"{quantity} {plus_minus(best.value, factor)} {shown}".rstrip()
-        groups.setdefault((best.estimator, ties, tuple(j.estimator for j in ends)), []).append((value, ends))
+        groups.setdefault((best.estimator, ties), []).append((quantity, value, worse))
     out: list[str] = []
-    for (best_label, ties, ends), members in groups.items():
-        text = f"Variant {variant}: {best_label} is best ({', '.join(value for value, _ in members)})"
+    for (best_label, ties), members in groups.items():
+        text = f"{best_label} is best ({', '.join(value for _, value, _ in members)})"
         if ties:
             text += f", {listing(ties)} {'tie' if len(ties) > 1 else 'ties'} with it"
-        for place, (label, opening) in enumerate(zip(ends, ("; the next", ", the last"), strict=False)):
-            pairs = [pair for _, judgements in members if (pair := judgements[place].against)]
-            text += f"{opening}, {label}, has {_times(change_range(pairs))} error"
-        out.append(text + ".")
-    return out or [f"Variant {variant}: no estimator gave a value."]
+        text += _follower("; the next", [(quantity, worse[0]) for quantity, _, worse in members if worse])
+        text += _follower(", the last", [(quantity, worse[-1]) for quantity, _, worse in members if len(worse) > 1])
+        out.append(text)
+    return [f"Variant {variant}: {'. '.join(out)}." if out else f"Variant {variant}: no estimator gave a value."]
+
+
+def _follower(opening: str, found: list[tuple[str, Judged]]) -> str:
+    """`; the next, c (d for speed), has 5 to 6 % more error`, nothing where there is none."""
+    pairs = [judged.against for _, judged in found if judged.against]
+    if not pairs:
+        return ""
+    first = found[0][1].estimator
+    others: dict[str, list[str]] = {}
+    for quantity, judged in found:
+        if judged.estimator != first:
+            others.setdefault(judged.estimator, []).append(quantity)
+    aside = "; ".join(f"{label} for {listing(quantities)}" for label, quantities in others.items())
+    return f"{opening}, {first}{f' ({aside})' if aside else ''}, has {_times(change_range(pairs))} error"
 
 
 def _times(words: str) -> str:
@@ -368,5 +390,5 @@ def _over_variants(tops: Mapping[str, list[set[str]]]) -> list[str]:
             leaders = tuple(sorted({name for name in names if names.count(name) == most}))
             answers.setdefault((leaders, most, len(lists)), []).append(quantity)
     return [f"{listing(leaders)} {'are' if len(leaders) > 1 else 'is'} best or tied for {listing(quantities)} in "
-            f"{'all' if most == total else f'{most} of'} {total} variants, more often than any other."
+            + (f"all {total} variants." if most == total else f"{most} of {total} variants, more often than any other.")
             for (leaders, most, total), quantities in answers.items()]

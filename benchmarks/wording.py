@@ -24,6 +24,11 @@ def number(value: float, digits: int = 3) -> str:
     return f"{mantissa}·10{power}".replace("-", "−")
 
 
+def rough(value: float) -> str:
+    """A factor with two significant digits: 3400, 12, 0.85."""
+    return number(float(f"{value:.2g}"), 2) if np.isfinite(value) else number(value)
+
+
 def plus_minus(found: Interval, factor: float = 1.0) -> str:
     """`0.1234 ± 0.0021`: half the interval's width with two digits, the value to the same place."""
     value, half = found.value * factor, (found.high - found.low) / 2 * factor
@@ -85,7 +90,8 @@ def _change(relative: float) -> str:
 
 def _bare(relative: float) -> str:
     value = 100 * relative
-    return f"{value:.{0 if abs(value) >= 9.95 else 1}f}".replace("-", "−")
+    text = f"{value:.{0 if abs(value) >= 9.95 else 1}f}"
+    return "0.0" if text == "-0.0" else text.replace("-", "−")
 
 
 def listing(names: Sequence[str]) -> str:

@@ -156,7 +156,7 @@ def _extras(rng: np.random.Generator, scenario: str, variant: str, kind: str) ->
     extras: dict[str, np.ndarray] = {}
     if kind == "metro":
         extras = {"disturbance": 0.15 * np.sign(np.sin(np.arange(STEPS) / 5)), "reference-speed": np.full(STEPS, 21.0),
-                  "gradient": np.repeat([-2.0, 5.0, 3.0], STEPS // 3)}
+                  "gradient": np.repeat([-0.002, 0.005, 0.003], STEPS // 3)}
     if kind == "coupled-cars":
         extras = {"received": (rng.uniform(size=STEPS) < 0.3).astype(float)}
     if kind == "braking":

@@ -53,7 +53,10 @@ def error_over_time(cell: Cell) -> Canvas | None:
     for row, name in enumerate(names):
         unit, factor = units[name]
         found = {label: binned_rms(cell.curves[label, name]) for label in labels if (label, name) in cell.curves}
-        y = spanning(*(part[1] * factor for part in found.values()), zero=True)
+        typical = np.array([np.median(part[1]) for part in found.values()])
+        log = bool((typical > 0).all() and typical.max() > 12 * typical.min())
+        y = spanning(*(np.maximum(part[1], np.quantile(part[1], 0.05)) * factor for part in found.values()), log=log,
+                     zero=True)
         x = spanning(*(part[0] for part in found.values()), log=False, margin=0.0)
         last = row == len(names) - 1
         panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x, y,

@@ -10,7 +10,7 @@ from .data import Array, Cell, Track
 from .errors import LEFT, RIGHT
 from .example import thinned
 
-ROWS = (("gradient", "gradient [‰]", 1.0), ("disturbance", "disturbance [m/s²]", 1.0))
+ROWS = (("gradient", "gradient [‰]", 1000.0), ("disturbance", "disturbance [m/s²]", 1.0))
 """Extras drawn under the speed: name, title, factor."""
 
 

@@ -30,8 +30,7 @@ def track(cell: Cell) -> Canvas | None:
     others = [name for name in ("dead-reckoning", label) if (name, "estimate-x-b") in cell.kept]
     x_true, y_true = cell.kept[label, "x-a"].truth * 100, cell.kept[label, "y-a"].truth * 100
     good = np.isfinite(x_true)
-    entries = [("track", Style("muted")), ("tag", TAG),
-               *((f"follower, {name}", cell.styles[name]) for name in dict.fromkeys(others))]
+    entries = [("tag", TAG), *((f"follower, {name}", cell.styles[name]) for name in dict.fromkeys(others))]
     room = legend_height([name for name, _ in entries], WIDTH - 8)
     config = cell.setting.config
     straight, radius = config.plant.track.straight * 100, config.plant.track.radius * 100

@@ -51,13 +51,14 @@ class Variant:
 
 @dataclass(frozen=True)
 class Section:
-    """What the page shows of one scenario. headline: (challenger, rival, quantity, result) of robust against Kalman."""
+    """What the page shows of one scenario. headline: each robust estimator with its results against Kalman filters,
+    (rival, quantity, result)."""
 
     name: str
     title: str
     source: str
     words: list[str]
-    headline: list[tuple[str, str, str, str]]
+    headline: list[tuple[str, list[tuple[str, str, str]]]]
     figures: list[Drawn]
     variants: list[Variant]
     missing: str
@@ -125,9 +126,8 @@ def section(results: Results, name: str, cells: Sequence[Cell]) -> Section:
     for figure in FIGURES:
         for variant, canvas in of_scenario(figure, cells):
             (by_variant[variant] if variant else whole).append(_drawn(figure, canvas))
-    headline = [(challenger, rival, quantity, contest_words(found))
-                for challenger, contests in robust_contests(results.rows, results.manifest, name).items()
-                for (rival, quantity), found in contests.items()]
+    headline = [(challenger, [(rival, quantity, contest_words(found)) for (rival, quantity), found in contests.items()])
+                for challenger, contests in robust_contests(results.rows, results.manifest, name).items()]
     about = cells[0].about
     kept = any(cell.kept for cell in cells)
     return Section(

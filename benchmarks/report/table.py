@@ -13,8 +13,8 @@ import pandas as pd
 from .. import statistics as st
 from ..figures.data import Cell
 from ..summary import metric_columns
-from ..verdicts import ERRORS, Judged, bound_check, broken_promises, column_values, nees_states
-from ..wording import change_interval, counted, number, percent, plus_minus
+from ..verdicts import ERRORS, Judged, bound_check, column_values, nees_states
+from ..wording import change_interval, counted, number, percent, plus_minus, rough
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,9 @@ def table(cell: Cell) -> Table:
     columns.append((("not finished", "runs"), lambda _, part: _failures(part)))
     if cell.timing:
         columns.append((("latency, 99 %", "µs"), lambda label, _: _latency(cell, label)))
-        columns.append((("throughput", "ns per run and step"), lambda label, _: _time(cell, label, "throughput_ns", 1)))
-        columns.append((("design", "s"), lambda label, _: _time(cell, label, "design_s", 1)))
+        columns.append((("throughput", "ns per run and step"),
+                        lambda label, _: _time(cell, label, "throughput_ns", 1.0)))
+        columns.append((("design", "s"), lambda label, _: _time(cell, label, "design_s", 0.001)))
     lines = [Line(label, "oracle" if label in cell.oracles else "", [make(label, part) for _, make in columns])
              for label, part in parts.items()]
     return Table([head for head, _ in columns], lines)
@@ -157,14 +158,17 @@ def _latency(cell: Cell, label: str) -> Entry:
     if not np.isfinite(value):
         return Entry("not measured", kind="none")
     factor = 1e6 * cell.period / value
-    fits = (f"fits {cell.period:g} s with a factor {number(factor, 2)}" if factor >= 1
-            else f"misses {cell.period:g} s by a factor {number(1 / factor, 2)}")
+    fits = (f"fits {cell.period:g} s with a factor {rough(factor)}" if factor >= 1
+            else f"misses {cell.period:g} s by a factor {rough(1 / factor)}")
     return Entry(number(value), fits, value, "" if factor >= 1 else "bad")
 
 
-def _time(cell: Cell, label: str, name: str, factor: float) -> Entry:
-    value = cell.timing.get(label, {}).get(name, np.nan) * factor
-    return Entry(number(value), "", value) if np.isfinite(value) else Entry("not measured", kind="none")
+def _time(cell: Cell, label: str, name: str, least: float) -> Entry:
+    """A time of timing.csv; under `least` it says only that."""
+    value = cell.timing.get(label, {}).get(name, np.nan)
+    if not np.isfinite(value):
+        return Entry("not measured", kind="none")
+    return Entry(number(value) if value >= least else f"< {least:g}", "", value)
 
 
 @dataclass(frozen=True)
@@ -187,8 +191,3 @@ def failures(cell: Cell, folder: str) -> list[Failure]:
                            f"railstate replay {cell.key}/{label}/{first} --out {folder}"))
     return out
 
-
-def breaches(cell: Cell) -> list[str]:
-    """`estimator: what it broke`, for the line above the table."""
-    return [f"{label}: {breach.words}" for label, part in cell.rows.groupby("estimator", sort=False)
-            for breach in broken_promises(part) if breach.kind != "status"]

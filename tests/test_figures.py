@@ -1,0 +1,200 @@
+"""Figures: every one is drawn from a results folder, shows its data, stays inside its canvas, writes all formats.
+
+Scales, ticks, styles and the numbers behind the figures are checked against what they must be."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+from railstate.benchmarks.commands.report import plot
+from railstate.benchmarks.figures.axes import MARKERS, Scale, spanning, tick_text
+from railstate.benchmarks.figures.canvas import DARK, LIGHT, Canvas
+from railstate.benchmarks.figures.catalogue import FIGURES, drawn
+from railstate.benchmarks.figures.data import Curve, Results, assign_styles, load_results
+from railstate.benchmarks.figures.errors import binned_rms
+from railstate.benchmarks.figures.ranks import rank_over_variants
+from railstate.scenarios.errors import InputError
+
+from .synthetic_results import BRAKING, CBTC, METRO, PERIOD, RUNS, write_results
+
+SERIES = {LIGHT[f"c{i}"] for i in range(8)}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return load_results(write_results(tmp_path_factory.mktemp("figures") / "run"))
+
+
+def test_every_figure_the_data_allow_is_drawn_for_every_variant(results: Results) -> None:
+    found = {(figure.name, scenario, variant) for figure, scenario, variant, _ in drawn(results)}
+    cells = [(cell.scenario, cell.variant) for cells in results.scenarios.values() for cell in cells]
+    for name in ("error-over-time", "errors-per-run", "accuracy-latency", "example"):
+        assert {(name, *cell) for cell in cells} <= found
+    assert {("nees", "ningbo-metro", variant) for variant in ("switching", "white", "constant")} <= found
+    assert ("nees", "cbtc-csma", "uniform") not in found
+    assert {("certified", "cbtc-csma", "uniform"), ("receptions", "cbtc-csma", "table3"),
+            ("headway", "cbtc-csma", "uniform"), ("parameter", "braking-rate", "paper"),
+            ("speed-profile", "ningbo-metro", "white"), ("critical-difference", "ningbo-metro", "")} <= found
+
+
+def test_no_figure_is_empty_and_nothing_leaves_its_canvas(results: Results) -> None:
+    for figure, scenario, variant, canvas in drawn(results):
+        where = f"{figure.name} {scenario}/{variant}"
+        root = ET.fromstring(canvas.svg())
+        width, height = (float(v) for v in root.attrib["viewBox"].split()[2:])
+        series = [node for node in root.iter("{http://www.w3.org/2000/svg}path")
+                  if {node.get("stroke"), node.get("fill")} & SERIES]
+        assert series, where
+        for node in root.iter("{http://www.w3.org/2000/svg}path"):
+            numbers = [int(n) for n in re.findall(r"-?\d+", node.attrib["d"])]
+            points = np.cumsum(np.array(numbers[:2 * (len(numbers) // 2)]).reshape(-1, 2), axis=0)
+            assert points[:, 0].min() >= -1, where
+            assert points[:, 0].max() <= width + 1, where
+            assert points[:, 1].min() >= -1, where
+            assert points[:, 1].max() <= height + 1, where
+        texts = list(root.iter("{http://www.w3.org/2000/svg}text"))
+        assert all(0 <= float(node.attrib["y"]) <= height for node in texts), where
+        assert not [node.text for node in texts if re.search(r"\d\.\d{5}|\bnan\b|\binf\b", node.text or "")], where
+
+
+def test_the_error_curve_is_the_root_mean_square_over_runs_with_its_interval() -> None:
+    rng = np.random.default_rng(3)
+    squared = rng.chisquare(2, (5, 4000)) / 2
+    curve = Curve(np.arange(5.0), np.full(5, 4000.0), squared.sum(1), (squared**2).sum(1), np.zeros(5))
+    time, root, low, high = binned_rms(curve)
+    assert time.tolist() == [0, 1, 2, 3, 4]
+    assert root == pytest.approx(np.sqrt(squared.mean(1)))
+    half = 1.96 * squared.std(axis=1, ddof=1) / np.sqrt(4000) / 2 / root
+    assert high - root == pytest.approx(half, rel=1e-6)
+    assert root - low == pytest.approx(half, rel=1e-6)
+
+
+def test_long_curves_are_averaged_in_bins_and_thin_ends_left_out() -> None:
+    active = np.append(np.full(1000, 100.0), np.full(50, 3.0))
+    curve = Curve(np.arange(1050.0), active, 4.0 * active, 16.0 * active, np.zeros(1050))
+    time, root, low, high = binned_rms(curve)
+    assert len(time) <= 130
+    assert time.max() < 1000
+    assert root == pytest.approx(np.full(len(root), 2.0))
+    assert np.allclose(low, high)
+
+
+def test_ranks_put_the_best_first_and_leave_out_oracles_and_those_that_failed(results: Results) -> None:
+    found = rank_over_variants(results.scenarios["cbtc-csma"], "position")
+    assert found is not None
+    labels, ranks = found
+    assert labels == ["direct", "kalman", "ultimate-bound"]
+    assert ranks.n == 2 * (RUNS - 1)
+    assert labels[int(np.argmin(ranks.mean))] == "kalman"
+    braking = rank_over_variants(results.scenarios["braking-rate"], "f")
+    assert braking is not None
+    assert "kalman-known-f" not in braking[0]
+
+
+def test_styles_are_unique_over_the_run_and_differ_in_colour_within_a_small_table(results: Results) -> None:
+    styles = results.styles
+    assert len({(s.colour, s.dash, s.marker) for s in styles.values()}) == len(styles) == len({*METRO, *CBTC, *BRAKING})
+    for group in (METRO, CBTC):
+        assert len({styles[label].colour for label in group}) == len(group)
+    assert max([styles[label].colour for label in BRAKING].count(c) for c in LIGHT) == 2
+    many = assign_styles([[f"e{i}" for i in range(40)]])
+    assert len({(s.colour, s.marker) for s in many.values()}) == 8 * len(MARKERS)
+
+
+def test_series_colours_have_contrast_and_stay_apart_for_every_kind_of_sight() -> None:
+    machado = {
+        "normal": np.eye(3),
+        "protan": [[.152286, 1.052583, -.204868], [.114503, .786281, .099216], [-.003882, -.048116, 1.051998]],
+        "deutan": [[.367322, .860646, -.227968], [.280085, .672501, .047413], [-.011820, .042940, .968881]],
+        "tritan": [[1.255528, -.076749, -.178779], [-.078411, .930809, .147602], [.004733, .691367, .303900]]}
+    xyz = np.array([[.4124564, .3575761, .1804375], [.2126729, .7151522, .0721750], [.0193339, .1191920, .9503041]])
+
+    def linear(colour: str) -> np.ndarray:
+        c = np.array([int(colour[i:i + 2], 16) for i in (1, 3, 5)]) / 255
+        return np.where(c <= .04045, c / 12.92, ((c + .055) / 1.055) ** 2.4)
+
+    def lab(rgb: np.ndarray) -> np.ndarray:
+        t = xyz @ np.clip(rgb, 0, 1) / np.array([.95047, 1, 1.08883])
+        x, y, z = np.where(t > .008856, np.cbrt(t), 7.787 * t + 16 / 116)
+        return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+    for palette, least in ((LIGHT, 2.7), (DARK, 3.3)):
+        series = [linear(palette[f"c{i}"]) for i in range(8)]
+        paper = (xyz @ linear(palette["paper"]))[1] + .05
+        for rgb in series:
+            own = (xyz @ rgb)[1] + .05
+            assert max(own, paper) / min(own, paper) >= least
+        for sight in machado.values():
+            seen = [lab(np.asarray(sight) @ rgb) for rgb in series]
+            assert min(np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]) > 28
+
+
+@pytest.mark.parametrize(("low", "high", "most", "expected"), [
+    (0, 1, 6, [0, 0.2, 0.4, 0.6, 0.8, 1.0]), (-3, 112, 2, [0, 100]), (0.0947, 0.1342, 4, [0.1, 0.11, 0.12, 0.13]),
+    (-1e-9, 3e-9, 5, [-1e-9, 0, 1e-9, 2e-9, 3e-9])])
+def test_linear_ticks_are_round_and_few(low: float, high: float, most: int, expected: list[float]) -> None:
+    assert Scale(low, high).ticks(most) == pytest.approx(expected)
+
+
+def test_logarithmic_scales_where_values_span_decades() -> None:
+    assert spanning([1.0, 100.0]).log
+    assert not spanning([1.0, 10.0]).log
+    assert not spanning([-1.0, 100.0]).log
+    assert Scale(0.01, 1000, True).ticks(6) == pytest.approx([0.01, 0.1, 1, 10, 100, 1000])
+    assert Scale(2, 9, True).ticks(4) == [2, 3, 5, 7]
+    assert spanning([]) == Scale(0.0, 1.0)
+    assert Scale(1, 100, True).share([0.0, 10.0, 1e9]).tolist() == [0.0, pytest.approx(0.5), 1.0]
+
+
+@pytest.mark.parametrize(("value", "text"), [(0, "0"), (0.30000000000000004, "0.3"), (-25, "−25"), (1e-5, "10⁻⁵"),
+                                             (2.5e6, "2.5·10⁶"), (12000, "12000")])
+def test_tick_texts_are_short(value: float, text: str) -> None:
+    assert tick_text(value) == text
+
+
+def test_texts_of_a_figure_cannot_break_the_page() -> None:
+    canvas = Canvas(20, 'a "<b>" & c')
+    canvas.text(0, 10, "<script>&")
+    canvas.path([(0, 0), (1, 1)], title="</title><script>")
+    for inline in (True, False):
+        assert "<script>" not in canvas.svg(inline=inline)
+        ET.fromstring(canvas.svg(inline=inline))
+
+
+@pytest.mark.parametrize(("format_", "magic"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
+def test_plot_writes_each_format_at_column_width(results: Results, tmp_path: Path, format_: str, magic: bytes,
+                                                 capsys: pytest.CaptureFixture[str]) -> None:
+    plot(str(results.folder), figure="critical-difference", format_=format_, out=str(tmp_path / "out"))
+    written = sorted((tmp_path / "out").iterdir())
+    assert [path.name for path in written] == [f"critical-difference~{scenario}.{format_}" for scenario in
+                                               sorted(results.scenarios)]
+    assert "3 figures" in capsys.readouterr().out
+    data = written[0].read_bytes()
+    assert data.startswith(magic)
+    if format_ == "png":
+        assert int.from_bytes(data[16:20], "big") == 3.5 * 300
+    if format_ == "svg":
+        assert b'width="252pt"' in data
+    if format_ == "pdf":
+        assert re.search(rb"/MediaBox \[ ?0 0 252 ", data)
+
+
+@pytest.mark.parametrize(("words", "message"), [({"figure": "nothing"}, "error-over-time"),
+                                                ({"format_": "gif"}, "svg, pdf, png"),
+                                                ({"figure": "trace"}, "no data")])
+def test_plot_says_what_is_allowed(results: Results, words: dict[str, str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        plot(str(results.folder), **{"figure": "", "format_": "svg", "out": str(results.folder / "x"), **words})
+
+
+def test_figures_without_kept_runs_are_left_out(tmp_path: Path) -> None:
+    bare = load_results(write_results(tmp_path / "bare", keep=False))
+    names = {figure.name for figure, *_ in drawn(bare)}
+    assert names.isdisjoint({"example", "speed-profile", "receptions", "parameter"})
+    assert {"error-over-time", "headway", "nees"} <= names
+    assert {figure.name for figure in FIGURES} >= names
+    assert bare.scenarios["ningbo-metro"][0].period == PERIOD
