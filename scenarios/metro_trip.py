@@ -19,16 +19,12 @@ from .schema import Strict
 
 Array = NDArray[np.float64]
 
-LANDING = 0.75
-"""Greatest deceleration (m/s^2) of the last step before a standstill between sections."""
-
-
 class Controller(Strict):
     """Automatic train operation. margin m/s: how far under each limit the reference speed stays.
 
-    braking m/s^2: service braking, the reference's slope and feed-forward. gain 1/s on the speed error. effort: least
-    and greatest share of the force; slew: its greatest change per second. dwell s at each stop. ended m/s: a run ends
-    at the last stop when the speed falls to it, or `overrun` m behind that stop."""
+    braking m/s^2: service braking, the reference's slope and feed-forward, less for a train that manages less. gain 1/s
+    on the speed error. effort: least and greatest share of the force; slew: its greatest change per second. dwell s at
+    each stop. ended m/s: a run ends at the last stop when the speed falls to it, or `overrun` m behind that stop."""
 
     margin: NonNegativeFloat
     braking: PositiveFloat
@@ -50,8 +46,26 @@ class Reference:
     first: NDArray[np.int64]
 
     @classmethod
-    def of(cls, line: Line, train: Train, controller: Controller) -> Reference:
-        """The fastest speed that keeps margin and service braking, backwards from each stop."""
+    def of(cls, line: Line, train: Train, controller: Controller, reserve: float) -> Reference:
+        """The fastest speed that keeps margin and service braking, which is lowered until the train can brake harder by
+        `reserve` (m/s^2) wherever it brakes.
+
+        Raises ValueError where no braking of at least 0.1 m/s^2 can be kept up."""
+        braking = controller.braking
+        while True:
+            plan = cls._with(line, train, controller, braking)
+            weakest, where = plan._weakest_braking(line, train, controller)
+            weakest -= reserve
+            if weakest >= braking:
+                return plan
+            braking = min(0.98 * braking, weakest)
+            if braking < 0.1:
+                raise ValueError(f"the train cannot brake from {where:.0f} m on: with a reserve of {reserve:g} "
+                                 f"m/s^2 it manages {weakest:.2f} m/s^2 there")
+
+    @classmethod
+    def _with(cls, line: Line, train: Train, controller: Controller, braking: float) -> Reference:
+        """Backwards from each stop, limit by limit."""
         pieces: list[tuple[float, float, float]] = []
         first = [0]
         edges = [position for position, _ in line.speed_limits]
@@ -61,17 +75,29 @@ class Reference:
             section: list[tuple[float, float, float]] = []
             after = 0.0
             for a, b, top in zip(reversed(starts), reversed([*starts[1:], stop]), reversed(limits**2), strict=True):
-                brake = 2 * controller.braking
-                from_ = max(a, b - max(top - after, 0.0) / brake)
+                from_ = max(a, b - max(top - after, 0.0) / (2 * braking))
                 if after < top:
-                    section.append((from_, after + brake * (b - from_), -brake))
+                    section.append((from_, after + 2 * braking * (b - from_), -2 * braking))
                 if from_ > a or after >= top:
                     section.append((a, float(top), 0.0))
-                after = min(float(top), after + brake * (b - a))
+                after = min(float(top), after + 2 * braking * (b - a))
             pieces += reversed(section)
             first.append(len(pieces))
         start, base, rate = (np.array(column) for column in zip(*pieces, strict=True))
         return cls(start, base, rate, np.array(first))
+
+    def _weakest_braking(self, line: Line, train: Train, controller: Controller) -> tuple[float, float]:
+        """Least deceleration (m/s^2) the train manages where the reference brakes, and where (m)."""
+        forces, g = train.forces, GRAVITY / (1 + train.rotating)
+        ends = [*self.start[1:], line.stops[-1]]
+        found = [(np.inf, line.stops[0])]
+        for start, end, base, rate in zip(self.start, ends, self.base, self.rate, strict=True):
+            if rate < 0:
+                inside = [position for position, _ in line.gradients if start < position < end]
+                rise = float(line.gradient(np.array([start, *inside])).min())
+                force = forces.brake * share(KMH * base**0.5, *forces[7:12])
+                found.append((-controller.effort[0] * force + forces.r0 + g * rise, float(start)))
+        return min(found)
 
 
 def check(line: Line, train: Train, controller: Controller, w_bar: float) -> None:
@@ -86,16 +112,7 @@ def check(line: Line, train: Train, controller: Controller, w_bar: float) -> Non
         if position < line.stops[-1] and g * rise >= pull:
             raise ValueError(f"the train cannot climb {1e3 * rise:.1f} per mille from {position:g} m on: with a "
                              f"disturbance of {w_bar:g} m/s^2 it manages {1e3 * pull / g:.1f} per mille")
-    plan = Reference.of(line, train, controller)
-    ends = [*plan.start[1:], line.stops[-1]]
-    for start, end, base, rate in zip(plan.start, ends, plan.base, plan.rate, strict=True):
-        if rate < 0:
-            inside = [p for p, _ in line.gradients if start < p < end]
-            rise = float(line.gradient(np.array([start, *inside])).min())
-            hold = -controller.effort[0] * forces.brake * share(KMH * base**0.5, *forces[7:12]) + forces.r0 + g * rise
-            if hold < controller.braking:
-                raise ValueError(f"the train cannot brake at {controller.braking:g} m/s^2 from {start:.0f} m on: it "
-                                 f"manages {hold:.2f} m/s^2 there (plant.controller.braking must be lower)")
+    Reference.of(line, train, controller, w_bar)
 
 
 @dataclass(frozen=True)
@@ -107,7 +124,7 @@ class Trip:
     u: Array
     w: Array
     active: NDArray[np.bool_]
-    section: NDArray[np.int64]
+    section: NDArray[np.int16]
     reference: Array
 
 
@@ -117,8 +134,8 @@ def simulate(line: Line, train: Train, controller: Controller, start: tuple[floa
     steps, runs = w.shape
     state, u = np.empty((steps, 2, runs)), np.empty((steps, 1, runs))
     reference, acted = np.empty((steps, runs)), w.copy()
-    active, section = np.empty((steps, runs), dtype=np.bool_), np.empty((steps, runs), dtype=np.int64)
-    plan = Reference.of(line, train, controller)
+    active, section = np.empty((steps, runs), dtype=np.bool_), np.empty((steps, runs), dtype=np.int16)
+    plan = Reference.of(line, train, controller, bound)
     _simulate(train.forces, line.slope(train.rotating), plan.start, plan.base, plan.rate, plan.first,
               np.array(line.stops), np.array(start), period,
               (controller.gain, *controller.effort, controller.slew, controller.ended, controller.overrun),
@@ -165,14 +182,20 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
         mode, leg, piece, waited, departed = RUNNING, 0, 0, 0, False
         for k in range(steps):
             wanted = 0.0
+            if mode == DONE:
+                v = 0.0
             if mode == RUNNING:
                 while piece + 1 < first[leg + 1] and s >= start[piece + 1]:
                     piece += 1
                 square = base[piece] + rate[piece] * (s - start[piece])
                 wanted = np.sqrt(max(square, 0.0))
-                asked = _effort(0.5 * rate[piece] + gain * (wanted - v), s, v, forces, slope)
+                # past the stop it brakes to stand at once
+                a_asked = 0.5 * rate[piece] + gain * (wanted - v) if square > 0.0 else -v / T
+                asked = _effort(a_asked, s, v, forces, slope)
                 asked = min(max(asked, least), greatest)
                 effort = min(max(asked, effort - slew * T), effort + slew * T)
+                if departed:  # brakes bring the train to a stand, not backwards
+                    effort = max(effort, _effort(-v / T, s, v, forces, slope))
             else:
                 effort = _effort(-v / T, s, v, forces, slope)
             a = level(v, effort, forces) - climb(s, slope)
@@ -188,7 +211,7 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
             total = a + w[k, r]
             s += T * v + 0.5 * T * T * total
             v += T * total
-            if mode in (HELD, WAITING, DONE):
+            if mode in (HELD, WAITING):
                 v = 0.0  # but for rounding it is
             state[k, 0, r], state[k, 1, r], u[k, 0, r] = s, v, effort
             active[k, r], section[k, r], reference[k, r] = mode != DONE, leg, wanted
@@ -197,7 +220,7 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
                 if leg + 1 == sections:
                     if (departed and v <= ended) or s > stops[leg + 1] + overrun:
                         mode = DONE
-                elif departed and v <= LANDING * T:
+                elif departed and v <= (bound - 0.5 * rate[piece]) * T:
                     mode = LANDING_STEP
             elif mode == LANDING_STEP:
                 mode = HELD
