@@ -1,0 +1,191 @@
+"""Robust estimators for disturbances that are bounded and otherwise unknown: F1 (the paper's), F2 and F3.
+
+The gain of every step solves a convex problem: compiled in `robust_fast` (F2, F3) and `robust_memoryless` (F1), in
+cvxpy in `robust_convex`."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, PositiveFloat
+
+from ..scenarios.model import DesignModel
+from ..scenarios.randomness import RunRandom
+from .interface import Array, Estimate, Mask, Status
+from .robust_base import Robust, RobustParameters, bounds_of, plain
+from .robust_fast import recursive_step
+from .robust_memoryless import memoryless_step
+
+
+class RecursiveParameters(RobustParameters):
+    """Parameters of F2 and F3."""
+
+    initial_scale: Annotated[PositiveFloat | None, Field(
+        description="first bound Pi as a multiple of P0; default 1 (F3), or the number of states (F2: then the "
+                    "ellipsoid holds the box of half-widths sqrt(P0_ii))")] = None
+
+
+class BoundedParameters(RobustParameters):
+    """Parameters of F1."""
+
+    mu: Annotated[float, Field(gt=0, lt=1, description="P << mu I, the paper's stability condition")] = 0.9999
+
+
+class _Recursive(Robust):
+    """F2 and F3: the last bound Pi goes into the next problem, whose P it becomes."""
+
+    Parameters = RecursiveParameters
+    ellipsoid: ClassVar[bool]
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        scale = self.parameters.initial_scale or (model.nx if self.ellipsoid else 1.0)
+        self._Pi = plain(np.broadcast_to(scale * model.initial_covariance, (model.nx, model.nx, runs)))
+        self._P = self._Pi.copy()
+
+    def _region(self) -> Array:
+        return self._Pi
+
+    def _noise(self) -> Array:
+        """R (ny, ny): the noise's second moments (F3), or diag(v_bar^2) (F2)."""
+        raise NotImplementedError
+
+    def _find(self, C: Array, received: Mask) -> None:
+        if self.parameters.solver == "cvxpy":
+            self._find_convex(C, received)
+        else:
+            recursive_step(self._Pi, self._moved, self._A, self._M, self._N, self._kappa, self._g, C, self._noise(),
+                           received, self.ellipsoid, self._K, self._P, self.stability, self._verdict)
+        self._Pi, self._P = self._P, self._Pi
+
+    def _find_convex(self, C: Array, received: Mask) -> None:
+        from .robust_convex import RecursiveProblem
+
+        nx, ny = self.model.nx, self.model.ny
+        if self._convex is None:
+            self._convex = RecursiveProblem(nx, self._whole.shape[1], ny, self.ellipsoid)
+        for run in range(self.runs):
+            self._P[:, :, run] = self._Pi[:, :, run]
+            if self.status[run] != Status.ok or not (self._moved[run] or received[:, run].any()):
+                self._K[:, :, run] = 0.0
+                continue
+            A, N, g, H = self._of_run(C, run)
+            solution = self._convex.solve(self._Pi[:, :, run], A, self._M, N, g, H, self._noise(), received[:, run])
+            if np.isfinite(solution.objective):
+                self._P[:, :, run] = solution.P
+                self._note(run, C, solution.K)
+            else:
+                self._unsolved(run, solution.status)
+
+    def _bound(self) -> Array:
+        """Pi (nx, nx, S) as it stands, of a waiting prediction too (its step with K = 0)."""
+        if not self._moved.any():
+            return self._Pi
+        nx, ny = self.model.nx, self.model.ny
+        P, C = np.empty_like(self._Pi), np.zeros((ny, nx, 1))
+        recursive_step(self._Pi, self._moved, self._A, self._M, self._N, self._kappa, self._g, C, np.eye(ny),
+                       self._none, self.ellipsoid, self._K.copy(), P, np.zeros(self.runs), self._verdict.copy())
+        return P
+
+
+class RobustEllipsoid(_Recursive):
+    """F2: e' Pi^-1 e <= 1 for every admissible disturbance and noise, of least tr Pi.
+
+    Sources (the last error's ellipsoid, each disturbance channel, each sensor) have their own multipliers, whose sum is
+    at most one. The least trace tends to K = C^-1, the raw measurements: a guarantee rather than an accurate estimate.
+    Truths outside the bounds (Gaussian tails, a gradient step between estimate and truth) are outside the guarantee."""
+
+    summary = "guaranteed error ellipsoid for bounded disturbance and noise (F2)"
+    claims = ("ellipsoid",)
+    ellipsoid = True
+
+    def _noise(self) -> Array:
+        bounds = bounds_of(self.model)
+        return np.diag(np.where(np.isfinite(bounds.v_bar), bounds.v_bar, 0.0) ** 2)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._x, ellipsoid=self._bound())
+
+
+class RobustMeanSquare(_Recursive):
+    """F3: worst case over disturbance and linearisation error, second moments of the measurement noise; least tr P.
+
+    Claims `bound` where the design model has a `performance` M: E |M e|^2 <= tr M P M'. It holds for zero-mean noise
+    with the second moments told, white and independent of the disturbance, and Delta independent of the error. P is an
+    upper bound and no covariance: NEES would only measure its slack, so none is claimed."""
+
+    summary = "mean-square error bound: bounded disturbance, noise by its second moments (F3)"
+    claims = ("bound",)
+    needs = (*Robust.needs, "measurement_covariance")
+    sensors_bounded = False
+    ellipsoid = False
+
+    def _noise(self) -> Array:
+        assert self.model.measurement_covariance is not None
+        return plain(self.model.measurement_covariance(self._k)[:, :, 0])
+
+    def estimate(self) -> Estimate:
+        M = self.model.performance
+        if M is None:
+            return Estimate(self._x)
+        P, weight = self._bound(), M.T @ M
+        bound = np.zeros(self.runs)
+        for i, j in zip(*np.nonzero(weight), strict=True):
+            bound += weight[i, j] * P[i, j]
+        return Estimate(self._x, bound=bound)
+
+
+class RobustBounded(Robust):
+    """F1, the paper's family: memoryless, min tr P + tr Th per step with P << mu I.
+
+    The P of a step bounds one-step growth from a unit error and is no bound of the error: nothing is claimed. kappa is
+    sought within one P0 (ellipsoid e' P0^-1 e <= 1) around the estimate, as there is no error bound. Where P << mu I
+    is active the compiled form does not apply: cvxpy then solves that step, and a run for which it has no solution is
+    infeasible. A step without any measurement has K = 0 and no such constraint."""
+
+    summary = "memoryless robust estimator, a convex problem per step (F1, Liu et al. 2025)"
+    Parameters = BoundedParameters
+    claims = ()
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        nx = model.nx
+        self._P0 = plain(np.broadcast_to(model.initial_covariance, (nx, nx, runs)))
+        v_bar = bounds_of(model).v_bar
+        self._D = np.where(np.isfinite(v_bar), v_bar, 0.0)
+        self._P, self._objective = np.zeros((nx, nx, runs)), np.zeros(runs)
+
+    def _region(self) -> Array:
+        return self._P0
+
+    def _find(self, C: Array, received: Mask) -> None:
+        some = received.any(axis=0)
+        before = self.stability.copy()
+        memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._D, C, received,
+                        self.parameters.mu, self._K, self._P, self._objective, self.stability, self._verdict)
+        chosen = some if self.parameters.solver == "cvxpy" else self._verdict == 3
+        for run in np.flatnonzero(chosen & (self.status == Status.ok)):
+            self.stability[run] = before[run]
+            self._find_convex(int(run), C, received[:, run])
+
+    def _find_convex(self, run: int, C: Array, received: Mask) -> None:
+        from .robust_convex import BoundedProblem
+
+        if self._convex is None:
+            self._convex = BoundedProblem(self.model.nx, self._whole.shape[1], self.model.ny, self.parameters.mu)
+        A, N, g, H = self._of_run(C, run)
+        solution = self._convex.solve(A, self._M, N, g, self._D, H, received)
+        if np.isfinite(solution.objective):
+            self._verdict[run] = 0
+            self._P[:, :, run], self._objective[run] = solution.P, solution.objective
+            self._note(run, C, solution.K)
+        else:
+            self._K[:, :, run] = 0.0
+            self._verdict[run] = 3
+            if not solution.status.startswith("infeasible"):
+                self._verdict[run] = 0
+                self._unsolved(run, solution.status)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._x)

@@ -1,0 +1,169 @@
+"""What the robust estimators share: prediction, missing measurements, statuses, and the contraction they are judged by.
+
+Error: e+ = (I - K C)[(A + M Delta N) e + G w] - K v with |Delta| <= 1, |w_i| <= w_bar_i; subclasses find K."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat
+
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import Bounds, DesignModel, Portion
+from ..scenarios.randomness import RunRandom
+from .interface import Array, Estimator, Mask, Parameters, Status, flag
+from .robust_small import contraction
+
+SOURCE = "Liu et al., Measurement and Control 2025, doi 10.1177/00202940251368051"
+REASONS = {
+    1: "C S C' + R is singular: sensors without noise that repeat each other or see no uncertainty",
+    2: "the bound is not finite: kappa, the bounds or the estimate left the range of numbers",
+    3: "the constraint P << mu I of the problem F1 cannot be met: the measurements received do not make the step a "
+       "contraction",
+}
+
+
+class RobustParameters(Parameters):
+    """What F1, F2 and F3 have in common."""
+
+    solver: Annotated[Literal["fast", "cvxpy"], Field(
+        description="compiled form, or the convex problem itself")] = "fast"
+    kappa: Annotated[NonNegativeFloat | None, Field(
+        description="constant factor of the linearisation error (unit of 1/N); default: the design model's")] = None
+
+
+class Robust(Estimator):
+    """Prediction x^- = f(x^, u), then x^ = x^- + K (y - h(x^-)); subclasses find K.
+
+    Several predictions without a measurement, or a measurement without prediction, are steps of their own (K = 0;
+    A = I and no disturbance). Elements of y that were not received, or whose sensor has no finite bound, get no gain.
+    `stability` (S,): the largest |(I - K C)(A + M Delta N)|^2 (spectral norm) so far; the paper asks for < 1."""
+
+    source = SOURCE
+    needs: ClassVar[tuple[str, ...]] = ("bounds", "transition_jacobian", "measurement_jacobian")
+    sensors_bounded: ClassVar[bool] = True
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        """Nothing to be found offline; refuses (Unsupported) what the problem cannot be written for."""
+        bounds, name = bounds_of(model), type(self).__name__
+        if self.sensors_bounded and not np.isfinite(bounds.v_bar).any():
+            raise Unsupported(f"{name} needs a bound of the measurement noise, and no sensor of this scenario has one "
+                              "(v_bar is infinite); robust-mean-square takes its covariance instead")
+        if not np.isfinite(bounds.w_bar).all():
+            raise Unsupported(f"{name} needs finite disturbance bounds w_bar")
+        if self.parameters.kappa is not None and bounds.M is None:
+            raise Unsupported(f"{name}: kappa is given, but the design model has no linearisation error (M, N)")
+        return {}
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        bounds, nx = bounds_of(model), model.nx
+        self._x = np.array(model.initial_mean, dtype=float, order="C")
+        self._M = np.zeros(nx) if bounds.M is None else plain(bounds.M[:, 0])
+        self._N = np.zeros(nx) if bounds.N is None else plain(bounds.N[0])
+        self._whole = plain((bounds.G * bounds.w_bar)[:, :, None])
+        self._usable = np.isfinite(bounds.v_bar)[:, None] if self.sensors_bounded else np.ones((model.ny, 1), bool)
+        self._none = np.zeros((model.ny, runs), dtype=bool)
+        self._K = np.zeros((nx, model.ny, runs))
+        self._verdict = np.zeros(runs, dtype=np.int64)
+        self.stability = np.zeros(runs)
+        self._k = 0
+        self._convex: Any = None
+        self._rest()
+
+    def _rest(self) -> None:
+        """No prediction is waiting: A = I, no disturbance, no linearisation error."""
+        self._moved = np.zeros(self.runs, dtype=bool)
+        self._A = np.eye(self.model.nx)[:, :, None]
+        self._g, self._kappa = np.zeros_like(self._whole), np.zeros(self.runs)
+
+    def predict(self, u: Array, portion: Portion) -> None:
+        model, bounds, x, k = self.model, bounds_of(self.model), self._x, self._k
+        assert model.transition_jacobian is not None
+        if self._moved.any():
+            self._correct(plain(model.measurement_jacobian(x, k)) if model.measurement_jacobian else x,
+                          self._none)
+        moved = np.full(self.runs, np.asarray(portion) != 0.0)
+        part = moved & (np.asarray(portion) != 1.0)
+        A = plain(model.transition_jacobian(x, u, k, portion))
+        kappa, g = self._factor(x, u), self._whole
+        if part.any():
+            if bounds.part is None or bounds.M is not None:
+                flag(self, part, Status.infeasible, "the bounds hold for whole sampling periods only")
+            else:
+                g = plain(bounds.part(portion) * bounds.w_bar[:, None])
+        after = plain(model.transition(x, u, k, portion))
+        if not moved.all():
+            after = np.where(moved, after, x)
+            A = np.where(moved, A, np.eye(model.nx)[:, :, None])
+            g, kappa = np.where(moved, g, 0.0), np.where(moved, kappa, 0.0)
+        self._x, self._A, self._g, self._kappa, self._moved = after, A, g, kappa, moved
+        self._k = k + 1
+
+    def _factor(self, x: Array, u: Array) -> Array:
+        """kappa (S,) of the step about to be predicted."""
+        bounds = bounds_of(self.model)
+        if self.parameters.kappa is not None:
+            return np.full(self.runs, self.parameters.kappa)
+        if bounds.M is None or bounds.kappa is None:
+            return np.zeros(self.runs)
+        return plain(bounds.kappa(x, u, self._region()))
+
+    def update(self, y: Array, received: Mask) -> None:
+        model = self.model
+        assert model.measurement_jacobian is not None
+        C = plain(model.measurement_jacobian(self._x, self._k))
+        received = received & self._usable
+        innovation = np.where(received, y - model.measurement(self._x, self._k), 0.0)
+        self._correct(C, received)
+        x = self._x.copy()
+        for j in range(model.ny):
+            x += self._K[:, j] * innovation[j]
+        self._x = x
+
+    def _correct(self, C: Array, received: Mask) -> None:
+        """Find K (and the bound) of the waiting prediction and these measurements; flag runs without."""
+        self._find(C, received)
+        for verdict in np.unique(self._verdict[self._verdict > 0]):
+            flag(self, self._verdict == verdict, Status.infeasible, REASONS[int(verdict)])
+        self._rest()
+
+    def _find(self, C: Array, received: Mask) -> None:
+        raise NotImplementedError
+
+    def _region(self) -> Array:
+        """Pi (nx, nx, S), the error region in which kappa is sought."""
+        raise NotImplementedError
+
+    def _of_run(self, C: Array, run: int) -> tuple[Array, Array, Array, Array]:
+        """A (nx, nx), N with kappa (nx,), disturbance columns (nx, nw), C (ny, nx) of one run, for the convex forms."""
+        A, g, H = (part[:, :, min(run, part.shape[2] - 1)] for part in (self._A, self._g, C))
+        return A, self._kappa[run] * self._N, g, H
+
+    def _note(self, run: int, C: Array, K: Array) -> None:
+        """Write the gain of one run, found by cvxpy, and its contraction."""
+        A, N, _, H = self._of_run(C, run)
+        n = len(A)
+        G = np.eye(n) - K @ H
+        top = contraction(G, plain(A), self._M, N, np.empty((n, n)), np.empty((n, n)))
+        self.stability[run] = max(self.stability[run], top)
+        self._K[:, :, run] = K
+
+    def _unsolved(self, run: int, status: str) -> None:
+        only = np.arange(self.runs) == run
+        flag(self, only, Status.infeasible, f"the convex problem has no solution (solver: {status})")
+        self._K[:, :, run] = 0.0
+
+    def extremes(self) -> dict[str, Array]:
+        return {"contraction": self.stability}
+
+
+def plain(values: Array) -> Array:
+    """C-contiguous and writable, copied only if need be: one compiled version serves all models."""
+    return np.require(values, dtype=float, requirements=["C", "W"])
+
+
+def bounds_of(model: DesignModel) -> Bounds:
+    assert model.bounds is not None
+    return model.bounds
