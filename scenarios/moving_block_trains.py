@@ -175,6 +175,8 @@ class TwoTrains:
         passes = sensors.tags.count * (trains.laps + 4)
         self.crossings, self.tag_x, self.tag_y = self._tags(config, track, start, passes)
         self.crossings = self.crossings[:, :, None] + sensors.tags.sd * measurement.normal(2, passes)
+        # A train whose run has gone wrong may go on for ever: beyond the last tag there is none.
+        self.crossings = np.concatenate([self.crossings, np.full((2, 1, runs), np.inf)], axis=1)
         self.read = measurement.uniform(0.0, 1.0, 2, passes) >= sensors.tags.missed
         noise_sd = sensors.encoder.noise_sd * math.sqrt(sensors.encoder.noise_period / self.period)
         self.factor = 1 + bias + noise_sd * measurement.normal(self.steps, 2)
