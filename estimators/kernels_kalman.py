@@ -25,10 +25,10 @@ def receivers(received):
 
 
 @kernel
-def innovate(y, predicted, received, out):
-    """out := y - predicted where received, 0 elsewhere (there y is not used: it may be NaN). All (ny, width)."""
+def innovate(y, predicted, received, out, width):
+    """out := y - predicted where received, 0 elsewhere (there y is not used: it may be NaN). All (ny, >= width)."""
     for j in range(y.shape[0]):
-        for s in range(y.shape[1]):
+        for s in range(width):
             out[j, s] = y[j, s] - predicted[j, s] if received[j, s] else 0.0
 
 
@@ -187,7 +187,7 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, failed):
         gather2(predicted, part, width, guess)
         gather2(received, part, width, got)
         gather3(h, part, width, jacobian)
-        innovate(measured[:, :width], guess[:, :width], got[:, :width], innovation[:, :width])
+        innovate(measured, guess, got, innovation, width)
         lost = np.zeros(width, np.bool_)
         if diagonal:
             _sequential(p, jacobian, variance, got, gain, lost, width)
@@ -214,7 +214,7 @@ def shared_kalman_update(mean, covariance, y, predicted, received, h, r, failed)
     for j in range(ny):
         variance[j] = r[j, j, 0]
     _sequential(covariance, h, variance, received, gain, lost, 1)
-    innovate(y, predicted, received, innovation)
+    innovate(y, predicted, received, innovation, runs)
     _shift(mean, innovation, h, gain, runs)
     for s in range(runs):
         failed[s] |= lost[0]

@@ -47,6 +47,9 @@ def _draw(mean, covariance, scale, points, deviations, failed, width):
     n, m = points.shape[0], points.shape[1]
     factor, inverse = np.empty((n, n, width)), np.empty((n, width))
     factorise(covariance, factor, inverse, failed, False, width)
+    for s in range(width):
+        if failed[s]:
+            factor[:, :, s] = np.nan
     centre = m - 2 * n
     for a in range(n):
         if centre:
@@ -54,12 +57,15 @@ def _draw(mean, covariance, scale, points, deviations, failed, width):
                 points[a, 0, s] = mean[a, s]
                 deviations[a, 0, s] = 0.0
         for i in range(n):
+            plus, minus = centre + i, centre + n + i
             for s in range(width):
-                step = scale * factor[a, i, s] if not failed[s] else np.nan
-                deviations[a, centre + i, s] = step
-                deviations[a, centre + n + i, s] = -step
-                points[a, centre + i, s] = mean[a, s] + step
-                points[a, centre + n + i, s] = mean[a, s] - step
+                deviations[a, plus, s] = scale * factor[a, i, s]
+            for s in range(width):
+                deviations[a, minus, s] = -deviations[a, plus, s]
+            for s in range(width):
+                points[a, plus, s] = mean[a, s] + deviations[a, plus, s]
+            for s in range(width):
+                points[a, minus, s] = mean[a, s] - deviations[a, plus, s]
 
 
 @kernel
@@ -140,7 +146,7 @@ def unscented_update(mean, covariance, points, deviations, images, weights_mean,
         gather3(extra, part, width, noise)
         lost = np.zeros(width, np.bool_)
         _moments(image, weights_mean, guess, width)
-        innovate(measured[:, :width], guess[:, :width], got[:, :width], innovation[:, :width])
+        innovate(measured, guess, got, innovation, width)
         _mask_images(image, got, r, spread, width)
         _spread(image, weights_covariance, spread, width)
         factorise(spread, factor, inverse, lost, True, width)
