@@ -142,7 +142,8 @@ class TwoTrains:
     """A batch of runs in closed loop with one estimator: a `World`. State: x, y of the leader A, of the follower B.
 
     gap_sum, gap_least (S,): of the true gap over a run's steps, m; driven (S,): their number; lap_times (2, S): when
-    each train had finished its laps, s, NaN while it has not. extra: along-track positions `s-a s-b`, their estimates
+    each train had finished its laps, s, NaN while it has not. squared, counted (4, S): squared errors (m^2) summed
+    while each train is under way, and how many. extra: along-track positions `s-a s-b`, their estimates
     `estimate-s-a estimate-s-b`, `gap`, and map positions `x-a y-a x-b y-b estimate-x-a ..`, each (K, S) in m, NaN once
     a run is over; index k is the instant at the end of step k."""
 
@@ -188,6 +189,8 @@ class TwoTrains:
                              np.zeros((2, runs), dtype=np.int64), np.full((2, runs), np.nan), tails)
         self.active = np.ones(runs, dtype=bool)
         self.driven = np.zeros(runs, dtype=np.int64)
+        self.squared, self.counted = np.zeros((4, runs)), np.zeros((4, runs))
+        self._truth, self._under_way = self.initial_mean, np.zeros((4, runs), dtype=bool)
         self.gap_sum, self.gap_least = np.zeros(runs), np.full(runs, np.inf)
         self._along = np.full((self.steps, 5, runs), np.nan)
         self._map = np.full((self.steps, 8, runs), np.nan)
@@ -225,6 +228,8 @@ class TwoTrains:
         memory, line, runs = self.memory, self.line, self.active.size
         if k > 0:
             self._map[k - 1, 4:] = np.where(self.active, mean, np.nan)
+            self.squared += np.where(self._under_way, (mean - self._truth) ** 2, 0.0)
+            self.counted += self._under_way
         was_active = self.active.copy()
         _locate(np.ascontiguousarray(mean), memory, line, k * self.period, self.active)
         if k > 0:
@@ -240,8 +245,8 @@ class TwoTrains:
         self.driven += self.active
         self._along[k, :3] = np.where(self.active, np.stack([memory.s[0], memory.s[1], gap]), np.nan)
         self._map[k, :4] = np.where(self.active, truth, np.nan)
-        under_way = np.repeat(np.isnan(self.lap_times), 2, axis=0)
-        return Step(u, self._events(share, tag), truth, self.active.copy(), under_way)
+        self._truth, self._under_way = truth, np.repeat(np.isnan(self.lap_times), 2, axis=0)
+        return Step(u, self._events(share, tag), truth, self.active.copy(), self._under_way)
 
     def _events(self, share: Array, tag: Counts) -> tuple[Event, ...]:
         """Up to two readings and the rest of the step. A run without a (second) reading goes through it with what is
