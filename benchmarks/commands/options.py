@@ -33,12 +33,12 @@ def value(text: str) -> Any:
         return text
 
 
-def overrides(pairs: list[str]) -> dict[str, Any]:
+def overrides(pairs: list[str], flag: str = "--set", example: str = "channel.p=0.3") -> dict[str, Any]:
     """`key=value` words as a mapping. Raises InputError for a word without `=`."""
     out: dict[str, Any] = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or not key.strip():
-            raise InputError(f"--set {pair}: expected KEY=VALUE, such as channel.p=0.3")
+            raise InputError(f"{flag} {pair}: expected KEY=VALUE, such as {example}")
         out[key.strip()] = value(text.strip())
     return out
