@@ -52,14 +52,13 @@ class Plant(Strict):
     def targets(self, period: float, steps: int) -> Array:
         """a_t over the step into k = 1..steps, held at its value at the step's beginning, shape (steps,)."""
         times, values = np.array(self.target).T
-        held = np.empty(steps)
-        held[:] = np.interp(period * np.arange(steps), times, values)
-        return held
+        return np.interp(period * np.arange(steps), times, values)
 
     def rates(self, period: float, steps: int) -> Array:
         """f over the step into k = 1..steps: its value at the step's end, shape (steps,)."""
         time = period * np.arange(1, steps + 1)
-        out = self.rate_start + self.rate_drift * time
+        out = np.full(steps, self.rate_start)
+        out += self.rate_drift * time
         for when, change in self.rate_steps:
             out += np.where(time >= when - 1e-9, change, 0.0)
         return out

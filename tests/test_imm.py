@@ -1,0 +1,210 @@
+"""The IMM filter and the Kalman filter that knows the parameter, against loops written from the book.
+
+The oracle of the IMM is Blom and Bar-Shalom's five steps in NumPy; that of the known parameter is a Kalman filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from railstate.estimators import stochastic_m_transition as transitions
+from railstate.estimators.imm import InteractingMultipleModel, KnownParameterKalman
+from railstate.estimators.interface import Estimator, Status
+from railstate.scenarios.braking import Braking
+from railstate.scenarios.errors import Unsupported
+from railstate.scenarios.files import load
+from railstate.scenarios.model import DesignModel
+from railstate.scenarios.randomness import Streams
+from railstate.scenarios.world import Trajectory
+
+CASES = [(InteractingMultipleModel, {"transition": "uniform"}), (InteractingMultipleModel, {"stay": 0.9}),
+         (InteractingMultipleModel, {"transition": "groups"}), (KnownParameterKalman, {})]
+family = pytest.mark.parametrize(("kind", "parameters"), CASES)
+
+
+def streams(runs: range | list[int]) -> Streams:
+    return Streams(3, "braking-rate", "paper", runs)
+
+
+@pytest.fixture(scope="module")
+def setting() -> Braking:
+    return load("braking-rate").setting("paper")  # pyright: ignore[reportReturnType]
+
+
+def kalman(A: np.ndarray, B: np.ndarray, modes: Any, x: np.ndarray, P: np.ndarray, u: np.ndarray,
+           y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """One step of the Kalman filter and its log-likelihood; y holds NaN where nothing arrived."""
+    x, P = A @ x + B @ u, A @ P @ A.T + modes.Q
+    rows = np.flatnonzero(~np.isnan(y))
+    C, R = modes.C[rows], modes.R[np.ix_(rows, rows)]
+    S = C @ P @ C.T + R
+    e = y[rows] - C @ x
+    K = P @ C.T @ np.linalg.inv(S)
+    loglik = -0.5 * (e @ np.linalg.inv(S) @ e + np.log(np.linalg.det(2 * np.pi * S)))
+    return x + K @ e, P - K @ S @ K.T, float(loglik)
+
+
+def textbook_imm(model: DesignModel, transition: np.ndarray, u: np.ndarray,
+                 y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean (K, nx), parameter (K,), covariance (K, nx, nx) of one run."""
+    modes = model.modes
+    assert modes is not None
+    m = len(modes.grid)
+    mu = modes.prior.copy()
+    x = [model.initial_mean[:, 0]] * m
+    P = [model.initial_covariance[:, :, 0]] * m
+    means, values, covariances = [], [], []
+    for step in range(len(y)):
+        c = transition.T @ mu
+        share = transition * mu[:, None] / c
+        mixed = [sum(share[i, j] * x[i] for i in range(m)) for j in range(m)]
+        spread = [sum(share[i, j] * (P[i] + np.outer(x[i] - mixed[j], x[i] - mixed[j])) for i in range(m))
+                  for j in range(m)]
+        filtered = [kalman(modes.A[j], modes.B[j], modes, mixed[j], spread[j], u[step], y[step]) for j in range(m)]
+        x, P = [part[0] for part in filtered], [part[1] for part in filtered]
+        mu = c * np.exp([part[2] for part in filtered])
+        mu /= mu.sum()
+        mean = sum(mu[j] * x[j] for j in range(m))
+        means.append(mean)
+        values.append(mu @ modes.grid)
+        covariances.append(sum(mu[j] * (P[j] + np.outer(x[j] - mean, x[j] - mean)) for j in range(m)))
+    return np.array(means), np.array(values), np.array(covariances)
+
+
+def follow(estimator: Estimator, model: DesignModel, world: Trajectory,
+           steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    runs = world.initial_mean.shape[1]
+    estimator.start(model, runs, streams(range(runs))("estimator", "x"))
+    means, values, covariances = [], [], []
+    for k in range(steps):
+        if estimator.oracle:
+            estimator.reveal(world.truth[k])
+        estimator.predict(world.u[k], 1.0)
+        estimator.update(world.y[k], world.received[k])
+        estimate = estimator.estimate()
+        assert estimate.parameter is not None and estimate.covariance is not None
+        means.append(estimate.mean.copy())
+        values.append(estimate.parameter[0].copy())
+        covariances.append(estimate.covariance.copy())
+    return np.array(means), np.array(values), np.array(covariances)
+
+
+def lossy(world: Trajectory) -> Trajectory:
+    """Speed lost at every third step, everything at step 5; what did not arrive is NaN."""
+    received = world.received.copy()
+    received[::3, 1] = False
+    received[5] = False
+    return replace(world, received=received, y=np.where(received, world.y, np.nan))
+
+
+@pytest.mark.parametrize(("parameters", "transition"), [
+    ({"transition": "uniform"}, transitions.uniform(11)),
+    ({"stay": 0.9}, transitions.tridiagonal(11, 0.9)),
+    ({"stay": 1 / 3}, transitions.tridiagonal(11, 1 / 3)),
+    ({"transition": "groups"}, transitions.within(transitions.triples(np.arange(11.0), False))),
+])
+def test_imm_is_the_textbooks(setting: Braking, parameters: dict[str, Any], transition: np.ndarray) -> None:
+    world = lossy(setting.world(streams(range(2))))
+    model = setting.design_model({}, world.initial_mean)
+    means, values, covariances = follow(InteractingMultipleModel(parameters), model, world, 30)
+    for run in range(2):
+        mean, value, covariance = textbook_imm(model, transition, world.u[:30, :, run], world.y[:30, :, run])
+        np.testing.assert_allclose(means[..., run], mean, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(values[:, run], value, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(covariances[..., run], covariance[:, :3, :3], rtol=0, atol=1e-10)
+
+
+def test_known_parameter_is_the_kalman_filter(setting: Braking) -> None:
+    world = lossy(setting.world(streams(range(2))))
+    model = setting.design_model({}, world.initial_mean)
+    means, values, covariances = follow(KnownParameterKalman({}), model, world, 40)
+    for run in range(2):
+        x, P = model.initial_mean[:, run], model.initial_covariance[:, :, 0]
+        for k in range(40):
+            f = 1 - 0.005 * (k + 1)  # between grid values: A and B are affine in f, so interpolation is exact
+            x, P, _ = kalman(*setting.plant.at(f), model.modes, x, P, world.u[k, :, run], world.y[k, :, run])
+            np.testing.assert_allclose(means[k, :, run], x, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(covariances[k, :, :, run], P[:2, :2], rtol=0, atol=1e-12)
+            assert values[k, run] == pytest.approx(f, abs=1e-15)
+
+
+def test_one_mode_is_the_kalman_filter(setting: Braking) -> None:
+    world = setting.world(streams(range(2)))
+    model = setting.design_model({"grid": [0.8]}, world.initial_mean)
+    told = replace(world, truth=np.full_like(world.truth, 0.8))
+    imm, known = (follow(kind({}), model, told, 20) for kind in (InteractingMultipleModel, KnownParameterKalman))
+    np.testing.assert_allclose(imm[0], known[0], rtol=0, atol=1e-12)
+    assert (imm[1] == 0.8).all()
+
+
+@family
+def test_runs_do_not_depend_on_the_batch(setting: Braking, kind: type, parameters: dict[str, Any]) -> None:
+    results = []
+    for runs in (5, 30):
+        world = lossy(setting.world(streams(range(runs))))
+        results.append(follow(kind(parameters), setting.design_model({}, world.initial_mean), world, 12))
+    alone = lossy(setting.world(streams([4])))
+    single = follow(kind(parameters), setting.design_model({}, alone.initial_mean), alone, 12)
+    for one, five, thirty in zip(single, *results, strict=True):
+        np.testing.assert_array_equal(one[..., 0], five[..., 4])
+        np.testing.assert_array_equal(one[..., 0], thirty[..., 4])
+
+
+@family
+def test_covariances_are_symmetric_and_positive(setting: Braking, kind: type, parameters: dict[str, Any]) -> None:
+    world = lossy(setting.world(streams(range(4))))
+    *_, covariances = follow(kind(parameters), setting.design_model({}, world.initial_mean), world, 60)
+    matrices = np.moveaxis(covariances, -1, 1)
+    np.testing.assert_allclose(matrices, np.swapaxes(matrices, -1, -2), rtol=0, atol=1e-15)
+    assert np.linalg.eigvalsh(matrices).min() > 0
+
+
+@family
+def test_an_impossible_measurement_fails_its_run_alone(setting: Braking, kind: type,
+                                                       parameters: dict[str, Any]) -> None:
+    world = setting.world(streams(range(3)))
+    model = setting.design_model({}, world.initial_mean)
+    y = world.y.copy()
+    y[2, 0, 1] = 1e200
+    estimator = kind(parameters)
+    wanted, found = follow(kind(parameters), model, world, 5)[0], follow(estimator, model, replace(world, y=y), 5)[0]
+    assert estimator.status.tolist() == [Status.ok, Status.failed, Status.ok]
+    np.testing.assert_array_equal(found[:, :, [0, 2]], wanted[:, :, [0, 2]])
+
+
+def test_without_transitions_it_is_a_bank_of_filters(setting: Braking) -> None:
+    """stay = 1: no mixing, each value weighed by the product of its likelihoods, which would overflow but in logs."""
+    world = setting.world(streams(range(1)))
+    model = setting.design_model({}, world.initial_mean)
+    modes = model.modes
+    assert modes is not None
+    means, values, _ = follow(InteractingMultipleModel({"stay": 1.0}), model, world, 150)
+    bank = [(model.initial_mean[:, 0], model.initial_covariance[:, :, 0], 0.0) for _ in modes.grid]
+    for k in range(150):
+        for j, (x, P, before) in enumerate(bank):
+            x, P, loglik = kalman(modes.A[j], modes.B[j], modes, x, P, world.u[k, :, 0], world.y[k, :, 0])
+            bank[j] = x, P, before + loglik
+        total = np.array([loglik for *_, loglik in bank])
+        w = np.exp(total - total.max())
+        w /= w.sum()
+        np.testing.assert_allclose(values[k, 0], w @ modes.grid, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(means[k, :, 0], w @ np.array([x for x, *_ in bank]), rtol=0, atol=1e-8)
+    assert total.max() > np.log(np.finfo(float).max)
+
+
+@family
+def test_only_whole_steps(setting: Braking, kind: type, parameters: dict[str, Any]) -> None:
+    world = setting.world(streams([0]))
+    estimator = kind(parameters)
+    estimator.start(setting.design_model({}, world.initial_mean), 1, streams([0])("estimator", "x"))
+    with pytest.raises(Unsupported, match="whole sampling periods"):
+        estimator.predict(world.u[0], np.array([0.4]))
+
+
+def test_imm_counts_its_filters(setting: Braking) -> None:
+    world = setting.world(streams(range(2)))
+    estimator = InteractingMultipleModel({})
+    follow(estimator, setting.design_model({}, world.initial_mean), world, 7)
+    assert estimator.counters()["kalman-updates"].tolist() == [77.0, 77.0]
