@@ -11,7 +11,10 @@ import typer
 
 from ..scenarios.errors import InputError
 from .batch import Interrupted
+from .commands.design import certify, design
 from .commands.replay import replay
+from .commands.report import plot, report
+from .commands.reproduce import reproduce
 from .commands.run import run
 from .commands.show import list_, schema, show
 from .commands.sweep import sweep
@@ -20,8 +23,10 @@ from .commands.timing import timing
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, rich_markup_mode=None,
     help="Compare estimators of a train's state on the same simulated truths.")
-for function, name in ((run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"),
-                       (timing, "timing"), (schema, "schema")):
+for function, name in (
+        (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (design, "design"),
+        (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
+        (schema, "schema")):
     app.command(name)(function)
 
 

@@ -84,6 +84,8 @@ def _pair(mean: float, error: float) -> str:
     """`0.1234 +-0.0012`: the error with two digits, the mean to the same place."""
     if not np.isfinite(error) or error <= 0:
         return _number(mean)
+    if abs(mean) >= 1e5:
+        return f"{mean:.2e} ±{error:.0e}"
     places = int(np.clip(1 - np.floor(np.log10(error)), 0, 8))
     return f"{mean:.{places}f} ±{error:.{places}f}"
 

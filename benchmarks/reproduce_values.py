@@ -1,0 +1,164 @@
+"""Numbers of the papers that are no summary of rows: gains, bounds, ratios, claims. Each names the rows it draws on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..estimators.lmi import certify, ultimate_bound
+from ..estimators.random_access import covariance_sequence
+from ..estimators.random_access_bounds import CovarianceBounds
+from ..estimators.ultimate_bound import error_system, read_gain
+from ..scenarios.files import load
+from ..scenarios.model import DesignModel
+from ..scenarios.randomness import Streams
+
+if TYPE_CHECKING:
+    from .reproduce import Book
+
+Value = tuple[float, float]
+Key = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Computation:
+    """value(book, *arguments) -> (number, standard error); rows(*arguments) -> (scenario, variant, estimator) needed."""
+
+    value: Callable[..., Value]
+    rows: Callable[..., list[Key]] = lambda *arguments: []
+
+
+@cache
+def _model(name: str, variant: str, overrides: tuple[tuple[str, Any], ...] = ()) -> DesignModel:
+    setting = load(name, dict(overrides)).setting(variant)
+    start = setting.world(Streams(0, name, variant, (0,))).initial_mean
+    return setting.design_model({}, start)
+
+
+@cache
+def _zou() -> tuple[Any, Any]:
+    """Corollary 1 at sqrt(sum delta^2) = 7e5 N and Theorem 1 of the printed gain."""
+    system = error_system(_model("cbtc-csma", "uniform", (("knowledge.delta", 7e5), ("time.steps", 2))))
+    return ultimate_bound(system, 0.98), certify(system, read_gain("zou2018_gain.csv"), 0.98)
+
+
+def zou_bound(book: Book) -> Value:
+    """Our least certified bound."""
+    return _zou()[0].bound, 0.0
+
+
+def zou_distance(book: Book, columns: str) -> Value:
+    """Relative Frobenius distance of our gain from the printed one, in its position or velocity columns."""
+    part = slice(0, 6) if columns == "position" else slice(6, 12)
+    printed = read_gain("zou2018_gain.csv")[:, part]
+    return float(np.linalg.norm(_zou()[0].K[:, part] - printed) / np.linalg.norm(printed)), 0.0
+
+
+def rap_gain(book: Book, variant: str, k: int, i: int, j: int) -> Value:
+    """Entry (i, j) of K_k, from 1 and 0 on."""
+    return float(covariance_sequence(_model("rap-example-1", variant), 3)[0][k - 1][i, j]), 0.0
+
+
+def rap_gain_distance(book: Book, variant: str, k: int, *printed: float) -> Value:
+    """Largest deviation of K_k from the printed one (row by row)."""
+    gain = covariance_sequence(_model("rap-example-1", variant), 3)[0][k - 1]
+    return float(np.abs(gain - np.reshape(printed, gain.shape)).max()), 0.0
+
+
+@cache
+def _rap_bounds() -> CovarianceBounds:
+    model = _model("rap-example-2", "corrected")
+    assert model.linear is not None and model.reception is not None
+    return CovarianceBounds(model.linear, model.reception, model.initial_covariance[:, :, 0], 300)
+
+
+def rap_constant(book: Book, name: str) -> Value:
+    """q_low, q_high, a_low, a_high, r_low, r_high, c, c_hat, or the lower bound (21)."""
+    return float(getattr(_rap_bounds(), name)), 0.0
+
+
+def rap_mu(book: Book, k: int) -> Value:
+    """mu_k of Theorem 3."""
+    return float(_rap_bounds().mu[k]), 0.0
+
+
+def rap_condition(book: Book, sigma: float, m: int) -> Value:
+    """Least eigenvalue of the sum in (30) over all steps."""
+    return float(_rap_bounds().check(float(sigma), int(m)).least.min()), 0.0
+
+
+BRAKING = ("braking-rate", "paper")
+
+
+def braking_gain(book: Book, quantity: str, better: str, worse: str) -> Value:
+    """1 - MAE(better) / MAE(worse), paired over runs (delta method)."""
+    a, b = (book.values(*BRAKING, label, "mae", quantity) for label in (better, worse))
+    return _one_minus_ratio(a, b)
+
+
+def work_ratio(book: Book, one: str, other: str) -> Value:
+    """Kalman updates per step of one estimator over another's."""
+    a, b = (book.values(*BRAKING, label, "kalman-updates", "work") for label in (one, other))
+    return _ratio(a, b)
+
+
+def gap_reduction(book: Book) -> Value:
+    """1 - mean gap under moving block / under fixed block, law P, UKF in the loop."""
+    a, b = (book.values("moving-block", variant, "ukf", "mean", "gap") for variant in ("law-p", "law-p-fixed-block"))
+    return _one_minus_ratio(a, b)
+
+
+def follower_ratio(book: Book, k_acc: float) -> Value:
+    """alpha_B / beta_s = (-1 + sqrt(1 + 4 k_acc)) / 2 of (29); NaN where the root is of a negative number."""
+    inner = 1 + 4 * float(k_acc)
+    return ((-1 + inner**0.5) / 2 if inner >= 0 else float("nan")), 0.0
+
+
+KALMAN = ("ekf", "ukf", "ckf")
+
+
+def robust_ratio(book: Book, variant: str, quantity: str) -> Value:
+    """RMSE of robust-mean-square over that of the best matched Kalman filter, paired over runs (delta method)."""
+    squares = {label: book.values("ningbo-metro", variant, label, "rmse", quantity) ** 2
+               for label in (*KALMAN, "robust-mean-square")}
+    best = min(KALMAN, key=lambda label: float(squares[label].mean()))
+    ratio, error = _ratio(squares["robust-mean-square"], squares[best])
+    return ratio**0.5, 0.5 * error / ratio**0.5
+
+
+def _ratio(a: np.ndarray, b: np.ndarray) -> Value:
+    """Ratio of means with its standard error from the paired runs (delta method)."""
+    ratio = float(a.mean() / b.mean())
+    residual = a - ratio * b
+    return ratio, float(residual.std(ddof=1) / abs(b.mean()) / len(a) ** 0.5)
+
+
+def _one_minus_ratio(a: np.ndarray, b: np.ndarray) -> Value:
+    ratio, error = _ratio(a, b)
+    return 1 - ratio, error
+
+
+def _braking(*labels: str) -> list[Key]:
+    return [(*BRAKING, label) for label in labels]
+
+
+COMPUTATIONS: dict[str, Computation] = {
+    "zou_bound": Computation(zou_bound),
+    "zou_distance": Computation(zou_distance),
+    "rap_gain": Computation(rap_gain),
+    "rap_gain_distance": Computation(rap_gain_distance),
+    "rap_constant": Computation(rap_constant),
+    "rap_mu": Computation(rap_mu),
+    "rap_condition": Computation(rap_condition),
+    "braking_gain": Computation(braking_gain, lambda quantity, better, worse: _braking(better, worse)),
+    "work_ratio": Computation(work_ratio, _braking),
+    "gap_reduction": Computation(gap_reduction, lambda: [("moving-block", variant, "ukf")
+                                                         for variant in ("law-p", "law-p-fixed-block")]),
+    "follower_ratio": Computation(follower_ratio),
+    "robust_ratio": Computation(robust_ratio, lambda variant, quantity: [
+        ("ningbo-metro", variant, label) for label in (*KALMAN, "robust-mean-square")]),
+}
