@@ -50,7 +50,7 @@ class BootstrapParticle(Estimator):
         assert model.process_covariance is not None
         q = model.process_covariance(self._mean, u, self._k, portion)
         self._particles = np.ascontiguousarray(model.transition(self._particles, u, self._k, portion))
-        moving = np.broadcast_to(portion, (self.runs,)) != 0
+        moving: Mask = np.asarray(np.broadcast_to(portion, (self.runs,)) != 0.0, dtype=bool)
         self._diffuse(q, moving)
         self._k += 1
         self._moments(moving)

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .errors import Unsupported
+
 Array = NDArray[np.float64]
 Portion = float | Array
 """A length of time in sampling periods: a number, or one per run (S,). 1.0 is a whole step."""
@@ -135,9 +137,13 @@ def linear_model(
     initial_covariance: Array,
     **parts: object,
 ) -> DesignModel:
-    """A design model from its matrices: the callables of `DesignModel` filled in (whole steps only)."""
+    """A design model from its matrices: the callables of `DesignModel` filled in.
+
+    The matrices are those of whole steps: asked for a part of one, the transition raises Unsupported."""
 
     def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        if not (isinstance(portion, float) and portion == 1.0) and np.any(np.not_equal(portion, 1.0)):
+            raise Unsupported("this linear design model knows whole sampling periods only, not parts of one")
         moved = product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
         if u.shape[0]:
             drive = product(linear.B(k), u)

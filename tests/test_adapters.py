@@ -17,6 +17,8 @@ from railstate.estimators.kalman import ExtendedKalman, Kalman
 from railstate.estimators.reference.filterpy import FilterpyCubature, FilterpyExtended, FilterpyUnscented
 from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
 from railstate.scenarios.errors import Unsupported
+from railstate.scenarios.files import load
+from railstate.scenarios.randomness import Streams
 from stonesoup.models.control.linear import LinearControlModel
 from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.models.transition.linear import LinearGaussianTimeInvariantTransitionModel
@@ -129,6 +131,28 @@ def test_filterpy_equals_ours(name: str, plant: str) -> None:
     assert not theirs.status.any()
     np.testing.assert_allclose(mean, expected, rtol=0, atol=tolerance)
     np.testing.assert_allclose(covariance, its_covariance, rtol=0, atol=tolerance)
+
+
+METRO = load("ningbo-metro")
+
+
+@pytest.mark.parametrize("variant", METRO.variants)
+@pytest.mark.parametrize("name", ["ekf", "ukf", "ckf"])
+def test_filterpy_equals_ours_on_the_metro(name: str, variant: str) -> None:
+    """Every disturbance variant, one run through the first two hundred steps: start, traction, cruise."""
+    theirs, ours, tolerance = PAIRS[name]
+    setting = METRO.setting(variant)
+    world = setting.world(Streams(1, "ningbo-metro", variant, (0,)))
+    model = setting.design_model({}, world.initial_mean)
+    for estimator in (theirs, ours):
+        estimator.start(model, 1, models.random(1))
+    for k in range(200):
+        step = world.step(k, world.initial_mean)
+        for estimator in (theirs, ours):
+            for event in step.events:
+                estimator.predict(step.u, event.portion)
+                estimator.update(event.y, event.received)
+        np.testing.assert_allclose(theirs.estimate().mean, ours.estimate().mean, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("name", PAIRS)

@@ -322,3 +322,12 @@ def test_a_run_that_stands_still_keeps_its_bits(estimator: Estimator) -> None:
 
     for alone, together in zip(run(False), run(True), strict=True):
         np.testing.assert_array_equal(alone, together)
+
+
+def test_a_linear_model_of_whole_steps_refuses_parts() -> None:
+    estimator = Kalman()
+    estimator.start(models.linear(2), 2, models.random(2))
+    for portion in (0.5, np.array([1.0, 0.5])):
+        with pytest.raises(Unsupported, match="whole sampling periods"):
+            estimator.predict(np.zeros((1, 2)), portion)
+    estimator.predict(np.zeros((1, 2)), np.ones(2))

@@ -1,6 +1,7 @@
 """filterpy's extended, unscented and cubature Kalman filters behind the per-run adapter: the check of ours.
 
-Where filterpy as it stands would be another filter (see each class), it is set right from outside."""
+Where filterpy as it stands would be another filter (see each class), it is set right from outside. Its sigma points
+need a positive definite covariance: where the start is known exactly, these runs fail and say so, where ours go on."""
 
 from __future__ import annotations
 

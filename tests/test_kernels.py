@@ -1,0 +1,163 @@
+"""The compiled kernels against NumPy one run at a time: values, failures, and bits that do not depend on the batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from railstate.estimators import kernels
+from railstate.estimators.kernels_kalman import kalman_update, shared_kalman_update
+from railstate.scenarios.model import product
+
+Array = NDArray[np.float64]
+SIZES = [1, 2, 3, 7]
+RUNS = 150  # more than one tile at any size
+
+
+def draw(*shape: int) -> Array:
+    return np.random.default_rng(sum(shape)).normal(size=shape)
+
+
+def positive(n: int, runs: int = RUNS) -> Array:
+    root = draw(n, n + 1, runs)
+    return np.einsum("iks,jks->ijs", root, root).copy()
+
+
+def each(function: Callable[..., Array], *arrays: Array) -> Array:
+    """NumPy's answer, run by run; arrays with a last axis of 1 are shared."""
+    runs = max(array.shape[-1] for array in arrays)
+    return np.stack([function(*(array[..., min(s, array.shape[-1] - 1)] for array in arrays)) for s in range(runs)],
+                    axis=-1)
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("shared", [True, False])
+def test_products(n: int, shared: bool) -> None:
+    width = 1 if shared else RUNS
+    f, p, q, x = draw(n + 1, n, width), positive(n), positive(n + 1, width), draw(n, RUNS)
+    out = np.empty((n + 1, n + 1, RUNS))
+    kernels.congruence(f, p, q, out)
+    np.testing.assert_allclose(out, each(lambda f, p, q: f @ p @ f.T + q, f, p, q), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(out, out.swapaxes(0, 1))
+    half = np.empty((n + 1, n, RUNS))
+    for a, b in ((f, p), (f, p[:, :, :1].copy())):
+        kernels.multiply(a, b, half)
+        np.testing.assert_allclose(half, np.broadcast_to(each(np.matmul, a, b), half.shape), rtol=1e-12, atol=1e-12)
+    moved = np.empty((n + 1, RUNS))
+    kernels.apply(f, x, moved)
+    np.testing.assert_allclose(moved, each(np.matmul, f, x), rtol=1e-12, atol=1e-12)
+
+
+def test_congruence_in_place() -> None:
+    f, p, q = draw(5, 5, RUNS), positive(5), positive(5, 1)
+    out = np.empty_like(p)
+    kernels.congruence(f, p, q, out)
+    kernels.congruence(f, p, q, p)
+    np.testing.assert_array_equal(p, out)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_cholesky_and_solve(n: int) -> None:
+    p, b, failed = positive(n), draw(n, 3, RUNS), np.zeros(RUNS, dtype=bool)
+    factor, solved = np.empty_like(p), b.copy()
+    assert kernels.cholesky(p, factor, failed) == 0
+    np.testing.assert_allclose(factor, each(np.linalg.cholesky, p), rtol=1e-9, atol=1e-12)
+    assert kernels.solve_spd(p, solved, failed) == 0
+    np.testing.assert_allclose(each(np.matmul, p, solved), b, rtol=1e-8, atol=1e-8)
+    assert not failed.any()
+
+
+def test_cholesky_of_singular_and_indefinite() -> None:
+    """Rank one and zero are factored, an indefinite or NaN run fails alone; to solve, singular is a failure too."""
+    v = np.array([1.0, 2.0, -3.0])
+    p = np.stack([np.eye(3), np.outer(v, v), np.zeros((3, 3)), np.diag([1.0, -1e-3, 1.0]), np.full((3, 3), np.nan)],
+                 axis=-1).copy()
+    factor, failed = np.empty_like(p), np.zeros(5, dtype=bool)
+    assert kernels.cholesky(p, factor, failed) == 2
+    assert failed.tolist() == [False, False, False, True, True]
+    np.testing.assert_allclose(each(lambda l: l @ l.T, factor)[..., :3], p[..., :3], rtol=0, atol=1e-14)
+    assert np.isnan(factor[..., 3:]).any(axis=(0, 1)).all()
+    rhs, failed = np.ones((3, 1, 5)), np.zeros(5, dtype=bool)
+    assert kernels.solve_spd(p, rhs, failed) == 4
+    np.testing.assert_array_equal(rhs[..., 0], 1.0)
+    assert np.isnan(rhs[..., 1:]).all()
+
+
+def test_symmetrise() -> None:
+    a = draw(4, 4, RUNS)
+    expected = each(lambda a: (a + a.T) / 2, a)
+    kernels.symmetrise(a)
+    np.testing.assert_array_equal(a, expected)
+
+
+@pytest.mark.parametrize("width", [1, 2, 7, 100])
+def test_bits_do_not_depend_on_the_batch(width: int) -> None:
+    f, p, q, b = draw(6, 6, RUNS), positive(6), positive(6, 1), draw(6, 2, RUNS)
+
+    def work(f: Array, p: Array, b: Array) -> list[Array]:
+        failed, b = np.zeros(p.shape[2], dtype=bool), b.copy()
+        moved, half, factor = np.empty_like(p), np.empty_like(p), np.empty_like(p)
+        kernels.congruence(f, p, q, moved)
+        kernels.multiply(f, p, half)
+        kernels.cholesky(moved, factor, failed)
+        kernels.solve_spd(p, b, failed)
+        return [moved, half, factor, b]
+
+    for large, small in zip(work(f, p, b), work(*(np.ascontiguousarray(a[..., 3:3 + width]) for a in (f, p, b))),
+                            strict=True):
+        np.testing.assert_array_equal(large[..., 3:3 + width], small)
+
+
+@pytest.mark.parametrize("shared_h", [True, False])
+@pytest.mark.parametrize("correlated", [True, False])
+def test_kalman_update_is_the_conditional_gaussian(shared_h: bool, correlated: bool) -> None:
+    n, ny = 4, 3
+    x, p, y, h = draw(n, RUNS), positive(n), draw(ny, RUNS), draw(ny, n, 1 if shared_h else RUNS)
+    r = positive(ny, 1) if correlated else np.diag([0.5, 1.0, 2.0])[:, :, None].copy()
+    received = np.random.default_rng(3).uniform(size=(ny, RUNS)) < 0.6
+    guess = each(np.matmul, h, x)
+
+    def textbook(x: Array, p: Array, y: Array, h: Array, got: Array) -> Array:
+        h, y, s = h[got], y[got], r[np.ix_(got, got)][:, :, 0]
+        gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + s)
+        return np.hstack([(x + gain @ (y - h @ x))[:, None], p - gain @ h @ p])
+
+    expected = each(textbook, x, p, y, h, received)
+    failed = np.zeros(RUNS, dtype=bool)
+    assert kalman_update(x, p, np.where(received, y, np.nan), guess, received, h, r, failed) == 0
+    np.testing.assert_allclose(x, expected[:, 0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(p, expected[:, 1:], rtol=1e-9, atol=1e-9)
+
+
+def test_shared_update_has_the_bits_of_the_other() -> None:
+    n, ny = 4, 3
+    x, one, y, h = draw(n, RUNS), positive(n, 1), draw(ny, RUNS), draw(ny, n, 1)
+    received = np.repeat([[True], [False], [True]], RUNS, axis=1)
+    y[1], r, failed = np.nan, np.diag([0.5, 1.0, 2.0])[:, :, None].copy(), np.zeros(RUNS, dtype=bool)
+    guess, other, p = each(np.matmul, h, x), x.copy(), np.repeat(one, RUNS, axis=2)
+    kalman_update(x, p, y, guess, received, h, r, failed)
+    shared_kalman_update(other, one, y, guess, received, h, r, failed)
+    np.testing.assert_array_equal(x, other)
+    np.testing.assert_array_equal(p, np.broadcast_to(one, p.shape))
+
+
+def test_a_negative_innovation_variance_is_a_failure_where_it_is_received() -> None:
+    p = np.repeat(-np.eye(2)[:, :, None], 3, axis=2)
+    p[:, :, 0] = np.eye(2)
+    x, failed = np.zeros((2, 3)), np.zeros(3, dtype=bool)
+    received = np.array([[True, True, False], [False, False, False]])
+    h, r = np.eye(2)[:, :, None].copy(), 0.5 * np.eye(2)[:, :, None]
+    assert kalman_update(x, p, np.ones((2, 3)), x.copy(), received, h, r, failed) == 1
+    assert failed.tolist() == [False, True, False]
+    np.testing.assert_allclose(x[:, 0], [2 / 3, 0.0])
+    assert np.isnan(x[:, 1]).all() and np.isnan(p[:, :, 1]).all()
+    np.testing.assert_array_equal(x[:, 2], 0.0)
+
+
+def test_model_product_equals_numpy() -> None:
+    matrix = draw(3, 5) * (draw(3, 5, 1)[:, :, 0] > 0)
+    for shape in ((5, 1), (5, 4, 9), (5, 0)):
+        x = draw(*shape)
+        np.testing.assert_allclose(product(matrix, x), np.tensordot(matrix, x, 1), rtol=1e-12, atol=1e-12)
