@@ -39,7 +39,8 @@ class ErrorSystem:
 
     A (nx, nx), C (ny, nx), E (nx, nf), M (nz, nx), noise_root (ny, ny) with noise_root noise_root' = cov w, delta (nf,)
     with |f_i| <= delta_i in newtons. nodes: one node holding every element is the paper's packet. Several nodes, of
-    which exactly one arrives each step, need exact probabilities (spread 0)."""
+    which exactly one arrives each step, need exact probabilities (spread 0). mirror: orders of states, measurements
+    and forces under which the system may be its own mirror image (a train turned around); used where that holds."""
 
     A: Array
     C: Array
@@ -48,6 +49,7 @@ class ErrorSystem:
     noise_root: Array
     delta: Array
     nodes: tuple[Node, ...]
+    mirror: tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] | None = None
 
 
 @dataclass(frozen=True)
@@ -129,77 +131,87 @@ class _Form:
     (A - K Pi C) = A'PA - A'Kcal Pbar C - (..)' + sum over nodes of E[alpha^2] C'WC. W enters with positive semidefinite
     weight, so that this is (23) and (24) without a loss, in matrices half the size; Q = Omega' W Omega.
     Coordinates: columns of M scaled to one, rows of C to one, forces by sqrt(sum delta_i^2). lambda_1 I is meant in the
-    model's own coordinates (metres and m/s), as printed."""
+    model's own coordinates (metres and m/s), as printed. A system with a mirror falls apart into what is symmetric and
+    what is antisymmetric under it, which share lambda_1 and lambda_2 only (the average of a solution and its mirror
+    image is a solution as good)."""
 
     def __init__(self, system: ErrorSystem, theta: float, K: Array | None, multipliers: Multipliers,
                  ladder: float) -> None:
         import cvxpy as cp
 
-        self.cp = cp
+        self.cp, self.theta = cp, theta
         weights = np.linalg.norm(system.M, axis=0)
         self.t = t = np.where(weights > 0, weights, 1.0)
-        nx, ny, free = len(t), system.C.shape[0], multipliers == "free"
-        A, C = t[:, None] * system.A / t, system.C / t
+        free = multipliers == "free"
+        C = system.C / t
         self.rows = rows = 1 / np.linalg.norm(C, axis=1)
-        C, root, M = C * rows[:, None], system.noise_root * rows[:, None], system.M / t
+        root = system.noise_root * rows[:, None]
+        self.K = None if K is None else t[:, None] * K / rows
         size = float(np.linalg.norm(system.delta))
         E = t[:, None] * system.E * (system.delta if free else size)
-        pushed = np.flatnonzero(np.abs(E).sum(axis=0))
-        E = E[:, pushed]
-        means = np.zeros(ny)
-        for node in system.nodes:
-            means[list(node.elements)] = node.mean
+        pushing = np.abs(E).sum(axis=0) > 0
+        whole = _Scaled(t[:, None] * system.A / t, C * rows[:, None], E, (system.M / t).T @ (system.M / t),
+                        root @ root.T, np.diag(1 / t**2))
+        sectors = _sectors(system, whole) if K is None and not free else None
+        self.nodes = system.nodes if sectors is None else (_whole(system.nodes[0]),)
+        self.bases = sectors or [(np.eye(len(t)), np.eye(len(rows)), np.eye(len(pushing))[:, pushing])]
+        self.one: Any = None if free else ladder * cp.Variable(nonneg=True)
+        self.two: Any = (cp.Variable(int(pushing.sum()), nonneg=True) if free else cp.Variable(nonneg=True)
+                         ) if pushing.any() else 0.0
+        self.ladder, self.conditions, self.parts = ladder, [], []
+        cost: Any = cp.sum(self.two)
+        for basis in self.bases:
+            part, noise = self._part(whole.within(*basis))
+            self.parts.append(part)
+            cost = cost + noise
+        self.cost: Any = cost
+
+    def _part(self, scaled: _Scaled) -> tuple[_Part, Any]:
+        """The LMI of one sector, and its noise term of the objective."""
+        cp, K = self.cp, self.K
+        A, C, E, (nx, nf) = scaled.A, scaled.C, scaled.E, scaled.E.shape
         P: Any = cp.Variable((nx, nx), symmetric=True)
-        Y: Any = P @ (t[:, None] * K / rows) if K is not None else cp.Variable((nx, ny))
-        conditions: list[Any] = [P >> M.T @ M]
-        second, noise = np.zeros((nx, nx)), 0.0
-        arriving: list[Any] = []
-        for node in system.nodes:
-            own = list(node.elements)
-            Ci, Oi = C[own], root[own]
+        Y: Any = P @ K if K is not None else cp.Variable((nx, len(C)))
+        self.conditions.append(P >> scaled.MM)
+        means = np.zeros(len(C))
+        second, noise, arriving = np.zeros((nx, nx)), 0.0, []
+        for node in self.nodes:
+            own = list(node.elements) or list(range(len(C)))
+            means[own] = node.mean
             if K is None:
                 W: Any = cp.Variable((len(own), len(own)), symmetric=True)
-                conditions.append(cp.bmat([[W, Y[:, own].T], [Y[:, own], P]]) >> 0)
+                self.conditions.append(cp.bmat([[W, Y[:, own].T], [Y[:, own], P]]) >> 0)
             else:
-                Ki = (t[:, None] * K / rows)[:, own]
-                W = Ki.T @ P @ Ki
-            arriving.append(Ci.T @ W @ Ci)
+                W = K[:, own].T @ P @ K[:, own]
+            arriving.append(C[own].T @ W @ C[own])
             second = second + (node.mean**2 + node.variance) * arriving[-1]
-            noise = noise + node.largest * cp.trace(Oi.T @ W @ Oi)
+            noise = noise + node.largest * cp.trace(W @ scaled.noise[np.ix_(own, own)])
         drop = Y @ (means[:, None] * C)
-        blocks: list[list[Any]] = [[A.T @ P @ A - A.T @ drop - drop.T @ A + second - theta * P]]
-        spread = max(node.spread for node in system.nodes)
+        blocks: list[list[Any]] = [[A.T @ P @ A - A.T @ drop - drop.T @ A + second - self.theta * P]]
+        forced = [(A.T @ P - drop.T) @ E]
+        spread = max(node.spread for node in self.nodes)
         if spread > 0:
             if len(arriving) > 1:
                 raise ValueError("several nodes need exact probabilities (spread 0)")
-            if free:
+            Lam: Any = None if self.one is None else self.one * scaled.unit
+            if Lam is None:
                 shape: Any = cp.Variable((nx, nx), symmetric=True)
-                conditions.append(shape >> 0)
-                Lam: Any = 100 * ladder * shape
-            else:
-                Lam = ladder * cp.Variable(nonneg=True) * np.diag(1 / t**2)
-            mean, hit = system.nodes[0].mean, Y @ C
-            cross = mean * arriving[0] - A.T @ hit
-            blocks[0][0] = blocks[0][0] + spread**2 * Lam
-            blocks[0].append(cross)
-            blocks.append([cross.T, arriving[0] - Lam])
-        self.decay = symmetric(cp.bmat(blocks))
-        two: Any = 0.0
-        if len(pushed):
-            two = cp.Variable(len(pushed), nonneg=True) if free else cp.Variable(nonneg=True)
-            side = [(A.T @ P - drop.T) @ E] + ([-(Y @ C).T @ E] if spread > 0 else [])
-            for row, block in zip(blocks, side, strict=True):
-                row.append(block)
-            limit = cp.diag(two) if free else two * np.eye(len(pushed))
-            blocks.append([*[block.T for block in side], E.T @ P @ E - limit])
-            two = cp.sum(two)
-        self.whole = symmetric(cp.bmat(blocks))
-        self.P, self.Y, self.conditions = P, Y, conditions
-        self.cost: Any = noise + two
+                self.conditions.append(shape >> 0)
+                Lam = 100 * self.ladder * shape
+            hit = Y @ C
+            cross = self.nodes[0].mean * arriving[0] - A.T @ hit
+            blocks = [[blocks[0][0] + spread**2 * Lam, cross], [cross.T, arriving[0] - Lam]]
+            forced.append(-hit.T @ E)
+        decay = symmetric(cp.bmat(blocks))
+        if nf:
+            limit = cp.diag(self.two) if self.one is None else self.two * np.eye(nf)
+            blocks = [[*row, block] for row, block in zip(blocks, forced, strict=True)]
+            blocks.append([*[block.T for block in forced], E.T @ P @ E - limit])
+        return _Part(P, Y, decay, symmetric(cp.bmat(blocks))), noise
 
     def least_bound(self) -> Any:
         """Corollary 1 (26), or the same objective for a given gain."""
-        return self.cp.Problem(self.cp.Minimize(self.cost), [*self.conditions, self.whole << 0])
+        return self.cp.Problem(self.cp.Minimize(self.cost), [*self.conditions, *(p.whole << 0 for p in self.parts)])
 
     @property
     def value(self) -> float:
@@ -211,19 +223,77 @@ class _Form:
         can be trusted where the other's cannot. Forces are left out, since lambda_2 can be as large as it likes.
         -1 (the least allowed) or below 0: it has one; NaN: this problem was not solved either."""
         excess: Any = self.cp.Variable()
-        margin = excess * np.eye(self.decay.shape[0])
-        problem = self.cp.Problem(self.cp.Minimize(excess), [*self.conditions, self.decay << margin, excess >= -1])
+        margins = [part.decay << excess * np.eye(part.decay.shape[0]) for part in self.parts]
+        problem = self.cp.Problem(self.cp.Minimize(excess), [*self.conditions, *margins, excess >= -1])
         return float(excess.value) if solve(problem, solver) == "optimal" else np.nan
 
     def residual(self) -> float:
-        values = np.linalg.eigvalsh(self.whole.value)
-        return float(values[-1] / np.abs(values).max())
+        spectra = [np.linalg.eigvalsh(part.whole.value) for part in self.parts]
+        return max(float(values[-1] / np.abs(values).max()) for values in spectra)
 
     def gain(self) -> Array:
-        return np.linalg.solve(self.P.value, self.Y.value) / self.t[:, None] * self.rows
+        gain = sum(U @ np.linalg.solve(part.P.value, part.Y.value) @ V.T
+                   for part, (U, V, _) in zip(self.parts, self.bases, strict=True))
+        return gain / self.t[:, None] * self.rows
 
     def lyapunov(self) -> Array:
-        return self.t[:, None] * self.P.value * self.t
+        P = sum(U @ part.P.value @ U.T for part, (U, _, _) in zip(self.parts, self.bases, strict=True))
+        return self.t[:, None] * P * self.t
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Variables and left-hand sides of one sector."""
+
+    P: Any
+    Y: Any
+    decay: Any
+    whole: Any
+
+
+@dataclass(frozen=True)
+class _Scaled:
+    """The error system in scaled coordinates; MM = M'M, noise (ny, ny) covariance, unit: I in metres and m/s."""
+
+    A: Array
+    C: Array
+    E: Array
+    MM: Array
+    noise: Array
+    unit: Array
+
+    def within(self, U: Array, V: Array, F: Array) -> _Scaled:
+        """Restricted to the spans of orthonormal bases of states, measurements and forces."""
+        return _Scaled(U.T @ self.A @ U, V.T @ self.C @ U, U.T @ self.E @ F, U.T @ self.MM @ U, V.T @ self.noise @ V,
+                       U.T @ self.unit @ U)
+
+
+def _sectors(system: ErrorSystem, scaled: _Scaled) -> list[tuple[Array, Array, Array]] | None:
+    """Bases of what is symmetric and antisymmetric under the mirror; None without one, or where it does not hold."""
+    if system.mirror is None or len(system.nodes) > 1:
+        return None
+    x, y, f = (list(order) for order in system.mirror)
+    pairs = ((scaled.A, x, x), (scaled.C, y, x), (scaled.E, x, f), (scaled.MM, x, x), (scaled.noise, y, y))
+    if any(not np.allclose(m[np.ix_(i, j)], m, rtol=1e-10, atol=1e-13 * np.abs(m).max()) for m, i, j in pairs):
+        return None
+    return [(_basis(x, sign), _basis(y, sign), _basis(f, sign)) for sign in (1.0, -1.0)]
+
+
+def _basis(order: list[int], sign: float) -> Array:
+    """Orthonormal basis of the vectors v with v[order] = sign v."""
+    columns = []
+    for i, j in enumerate(order):
+        if i < j or (i == j and sign > 0):
+            column = np.zeros(len(order))
+            column[i] = 1.0
+            column[j] = sign if i < j else 1.0
+            columns.append(column / np.linalg.norm(column))
+    return np.array(columns).T.reshape(len(order), len(columns))
+
+
+def _whole(node: Node) -> Node:
+    """The node, holding whatever elements there are."""
+    return Node((), node.mean, node.spread, node.variance, node.largest)
 
 
 def symmetric(block: Any) -> Any:

@@ -35,7 +35,8 @@ def error_system(model: DesignModel) -> ErrorSystem:
     Forces are `bounds.G` w with |w_i| <= `bounds.w_bar[i]`. Reception: one packet with all elements, its probability
     known to an interval (the paper's case); or nodes of which exactly one transmits each step with known probabilities
     (random access), where the same Lyapunov argument holds with exact second moments: E over the chosen node i of
-    (A - K Pi_i C)' P (A - K Pi_i C). The latter is our extension, not the paper's."""
+    (A - K Pi_i C)' P (A - K Pi_i C). The latter is our extension, not the paper's. `details["mirror"]`, where given:
+    see `ErrorSystem`."""
     linear, bounds, reception, performance = model.linear, model.bounds, model.reception, model.performance
     if linear is None or bounds is None or reception is None or performance is None:
         raise Unsupported(f"an ultimate bound needs {', '.join(NEEDS)} of the design model")
@@ -48,7 +49,8 @@ def error_system(model: DesignModel) -> ErrorSystem:
     else:
         nodes = (lmi.packet(reception.p_low, reception.p_high, C.shape[0], reception.variance),)
     noise_root = cast(Array, np.linalg.cholesky(linear.R(0)))
-    return ErrorSystem(linear.A(0), C, bounds.G, performance, noise_root, bounds.w_bar, nodes)
+    mirror = cast(tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] | None, model.details.get("mirror"))
+    return ErrorSystem(linear.A(0), C, bounds.G, performance, noise_root, bounds.w_bar, nodes, mirror)
 
 
 class GainParameters(Parameters):

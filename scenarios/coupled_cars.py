@@ -174,7 +174,8 @@ class CoupledCarsConfig(ScenarioConfig):
 class CoupledCars(Setting[CoupledCarsConfig]):
     """State [x_1 .. x_n, v_1 .. v_n], car 1 in front; start at rest, couplers unstrained, estimators at the truth.
 
-    `details` of the design model: `theta` and `varpi` of the knowledge. `bounds`: G = E, w_bar = delta_i; the
+    `details` of the design model: `theta` and `varpi` of the knowledge; `mirror`, the orders of states, measurements
+    and forces of the train turned around. `bounds`: G = E, w_bar = delta_i; the
     measurement noise is Gaussian and has no bound (infinite v_bar)."""
 
     kind = "coupled-cars"
@@ -238,6 +239,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         linear = Linear(A=lambda k: plant.A, B=lambda k: plant.B, h=lambda k: plant.h, C=lambda k: C, Q=lambda k: Q,
                         R=lambda k: R)
         names = [str(i + 1) for i in range(n)]
+        both = (*range(n - 1, -1, -1), *range(2 * n - 1, n - 1, -1))
         return linear_model(
             linear,
             states=(*(f"x{i}" for i in names), *(f"v{i}" for i in names)),
@@ -248,7 +250,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             bounds=Bounds(G=plant.E, w_bar=delta, v_bar=np.full(2 * n, np.inf)),
             reception=self._reception(told),
             performance=np.diag([weight.position] * n + [weight.speed] * n),
-            details={"theta": told.theta, "varpi": told.varpi},
+            details={"theta": told.theta, "varpi": told.varpi, "mirror": (both, both, both[:n])},
         )
 
     def outcomes(self, world: Any, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from ...estimators.interface import Estimator
 from ...estimators.lmi_decay import trade_off
 from ...estimators.registry import estimator_class
-from ...estimators.ultimate_bound import FixedGain, error_system
+from ...estimators.ultimate_bound import FixedGain, error_system, read_gain
 from ...scenarios.errors import Infeasible, InputError, Unsupported
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
@@ -78,6 +78,11 @@ def certify(
 ) -> None:
     """Put any gain through Theorem 1: the least bound that can be certified for it. Exit code 1: there is none."""
     setting, name, variant = _setting(scenario, theta, delta, set_)
+    needed = _prepare(setting, name, variant, FixedGain, {"gain": gain}, {})[1]
+    shape = read_gain(gain).shape
+    if shape != (needed.nx, needed.ny):
+        raise InputError(f"{gain}: the gain is {shape[0]} x {shape[1]}, {name}/{variant} needs {needed.nx} x "
+                         f"{needed.ny} (states x measurements)")
     rows = []
     for multipliers in ("scalar", "free"):
         found = _designed(setting, name, variant, FixedGain, {"gain": gain, "multipliers": multipliers}, {})
@@ -101,8 +106,6 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
         estimator, model = _prepare(setting, name, variant, cls, parameters, knowledge)
         info = estimator.design(model)
     except Unsupported as reason:
-        if cls is FixedGain and "gain" in parameters:
-            raise InputError(str(reason)) from None
         return _Designed({"bound": "none", "status": f"unsupported: {reason}"})
     except Infeasible as reason:
         return _Designed({"bound": "none", "status": f"infeasible: {reason}"})
