@@ -1,0 +1,261 @@
+"""The recorded setting on small recordings made here: units, gaps, outages, the kinematic model, what odometers do."""
+
+from __future__ import annotations
+
+from math import erf
+
+import numpy as np
+import pandas as pd
+import pytest
+from railstate.benchmarks.drive import drive, prepare
+from railstate.estimators.registry import estimators
+from railstate.scenarios.errors import InputError
+from railstate.scenarios.files import load
+from railstate.scenarios.randomness import Streams
+
+MAP = {"time": "t_s", "position": "gnss_m", "speed": "v_kmh", "odometer": "odo_m", "reference_position": "s_km",
+       "reference_speed": "v_mps"}
+SCALE = 0.968
+
+
+def trip():
+    """A hop of 900 m in 100 s, irregularly sampled; an odometer 3.2 % short in steps of 5 m; GNSS with 2 m of noise."""
+    rng = np.random.default_rng(5)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, 100))])
+    t = np.delete(t, [40, 41, 42])  # a gap
+    z = (t - t[-1] / 2) / (t[-1] / 5)
+    s = 450 * (1 + np.vectorize(erf)(z))
+    v = 900 / np.pi**0.5 * np.exp(-z**2) / (t[-1] / 5)
+    return pd.DataFrame({"t_s": t, "s_km": s / 1e3, "v_mps": v, "gnss_m": s + rng.normal(0, 2, len(t)),
+                         "v_kmh": 3.6 * (v + rng.normal(0, 0.1, len(t))), "odo_m": 5 * np.floor(SCALE * s / 5) + 100})
+
+
+@pytest.fixture
+def recording(tmp_path):
+    trip().to_csv(tmp_path / "trip.csv", index=False)
+    return str(tmp_path / "trip.csv")
+
+
+def setting(recording, variant="outage", columns=MAP, **overrides):
+    changes = {"plant.recording": recording, "plant.map": columns, "sensors.odometer_step": 5.0, **overrides}
+    return load("recorded", changes).setting(variant)
+
+
+def run(chosen, label, runs=10, variant="outage"):
+    streams = Streams(1, "recorded", variant, range(runs))
+    world, entry = chosen.world(streams), chosen.config.estimators[label]
+    plugin = estimators()[entry.plugin]
+    estimator, model = prepare(chosen, plugin, entry.parameters, entry.knowledge, world.initial_mean)
+    estimator.design(model)
+    return world, model, drive(chosen, world, estimator, model, streams("estimator", label))
+
+
+LABELS = ("dead-reckoning", "kalman", "ekf", "ukf", "ckf", "robust-mean-square")
+
+
+def test_estimators_of_the_page_are_listed():
+    assert tuple(load("recorded").variants["outage"]["estimators"]) == LABELS
+
+
+def test_units_intervals_and_readings_come_through(recording):
+    table, w = trip(), setting(recording, "as-recorded").world(Streams(1, "recorded", "as-recorded", range(2)))
+    assert w.portions == pytest.approx(np.diff(table.t_s), rel=1e-9)
+    assert w.truth[:, 0, 1] == pytest.approx(1e3 * table.s_km[1:], abs=1e-9)
+    assert w.truth[:, 1, 0] == pytest.approx(table.v_mps[1:], abs=1e-9)
+    assert w.y[:, 0, 0] == pytest.approx(table.gnss_m[1:], abs=1e-9)
+    assert w.y[:, 1, 0] == pytest.approx(table.v_kmh[1:] / 3.6, abs=1e-9)
+    # the odometer counts from the start; half a step is what it lags on average
+    assert w.y[:, 2, 0] == pytest.approx(1e3 * table.s_km[0] + table.odo_m[1:] - table.odo_m[0] + 2.5, abs=1e-9)
+    assert w.u[:, 0].sum(0) == pytest.approx(table.odo_m.iloc[-1] - table.odo_m[0])
+    assert w.received.all() and w.active.all()
+    assert w.truth[0, 3, 0] == pytest.approx(1 / SCALE - 1, abs=0.003)
+
+
+def test_parquet_explicit_units_and_missing_readings(tmp_path):
+    table = trip().rename(columns={"v_kmh": "v"})
+    table.loc[10:14, "gnss_m"] = np.nan
+    table.loc[20, "odo_m"] = np.nan
+    table.to_parquet(tmp_path / "trip.parquet")
+    chosen = setting(str(tmp_path / "trip.parquet"), "as-recorded", {**MAP, "speed": "v [km/h]"})
+    w = chosen.world(Streams(1, "recorded", "as-recorded", [0]))
+    missing = np.ones((len(table) - 1, 3), dtype=bool)
+    missing[9:14, 0], missing[19, 2] = False, False
+    assert np.array_equal(w.received[..., 0], missing)
+    assert np.isfinite(w.y).all() and np.isfinite(w.u).all()
+    assert w.u[19, 0, 0] == 0 and w.u[20, 0, 0] == table.odo_m[21] - table.odo_m[19]
+
+
+def test_outages_where_they_belong(recording):
+    sweep = setting(recording, "sweep", **{"sensors.outage.duration": 20.0})
+    time = trip().t_s.to_numpy()[1:]
+    w = sweep.world(Streams(1, "recorded", "sweep", [3, 11]))
+    for column, start in enumerate((3, 11)):
+        inside = (time >= time[start]) & (time < time[start] + 20.0)
+        assert np.array_equal(~w.received[:, 0, column], inside)
+        assert w.received[:, 1:, column].all()
+        assert np.flatnonzero(w.window[:, column] == 1) == np.flatnonzero(inside)[-1]
+    placements = sum(time <= time[-1] - 20.0)
+    again = sweep.world(Streams(1, "recorded", "sweep", [3 + placements]))
+    assert np.array_equal(again.received[..., 0], w.received[..., 0])
+    windows = setting(recording, "as-recorded", **{"sensors.outage": {
+        "place": "windows", "windows": [[10.0, 15.0], [50.0, 52.0]], "sensors": ["speed"]}})
+    w = windows.world(Streams(1, "recorded", "as-recorded", [0]))
+    since = time - trip().t_s[0]
+    expected = ((since >= 10) & (since <= 15)) | ((since >= 50) & (since <= 52))
+    assert np.array_equal(~w.received[:, 1, 0], expected)
+    drawn = setting(recording).world(Streams(1, "recorded", "outage", range(30)))
+    assert len({tuple(np.flatnonzero(column)) for column in ~drawn.received[:, 0].T}) > 10
+
+
+def test_a_run_does_not_depend_on_its_batch(recording):
+    chosen = setting(recording)
+    whole, part = (chosen.world(Streams(1, "recorded", "outage", runs)) for runs in (range(7), [5]))
+    for name in ("truth", "u", "y", "received"):
+        assert np.array_equal(getattr(part, name)[..., 0], getattr(whole, name)[..., 5])
+    for label in LABELS:
+        one, many = (run(chosen, label, runs)[2].scored.metrics["rmse", "position"] for runs in (1, 7))
+        assert one[0] == many[0], label
+
+
+@pytest.mark.parametrize("motion", ["acceleration", "jerk", "odometer"])
+@pytest.mark.parametrize("shortfall", ["told", "modelled"])
+def test_the_model_s_jacobian_and_its_intervals(recording, motion, shortfall):
+    chosen, rng, e = setting(recording), np.random.default_rng(0), 1e-6
+    told = {"motion": motion, "shortfall": shortfall}
+    nx = chosen.design_model(told, np.zeros((5, 4))).nx
+    assert nx == {"acceleration": 4, "jerk": 5, "odometer": 2}[motion]
+    x, u = np.concatenate([rng.uniform(5, 15, (2, 4)), rng.uniform(-.05, .05, (nx - 2, 4))]), rng.uniform(5, 9, (2, 4))
+    model = chosen.design_model(told, np.zeros((5, 4)))
+    portion = rng.uniform(0.5, 2.0, 4)
+    assert model.transition_jacobian and model.process_covariance
+    for j in range(nx):
+        d = np.zeros((nx, 1))
+        d[j] = e
+        slope = (model.transition(x + d, u, 0, portion) - model.transition(x - d, u, 0, portion)) / (2 * e)
+        assert np.allclose(model.transition_jacobian(x, u, 0, portion)[:, j], slope, atol=1e-7)
+    points = np.repeat(x[:, None], 3, axis=1)
+    assert np.array_equal(model.transition(points, u, 0, portion)[:, 2], model.transition(x, u, 0, portion))
+    if motion != "odometer":
+        # two intervals in a row add up to one: Q(a + b) = F(b) Q(a) F(b)' + Q(b); the shortfall is left out, it may
+        # depend on where the speed is
+        at = [0, 1, nx - 1] if motion == "jerk" else [0, 1]
+        F = model.transition_jacobian(x, 0 * u, 0, 0.7)[:, :, 0][np.ix_(at, at)]
+        a, b, both = (model.process_covariance(x, u, 0, h)[:, :, 0][np.ix_(at, at)] for h in (1.1, 0.7, 1.8))
+        assert np.allclose(F @ a @ F.T + b, both, rtol=1e-12)
+
+
+def test_the_linear_form_is_the_model(recording):
+    chosen = setting(recording, "as-recorded")
+    world, model, _ = run(chosen, "kalman", 1, "as-recorded")
+    assert model.linear and model.process_covariance and model.measurement_jacobian
+    x = np.array([[100.0], [8.0], [2.0], [0.03]])
+    for k in (0, 7, 39, 60):
+        moved = model.transition(x, world.u[k], k, float(world.portions[k]))
+        assert np.allclose(model.linear.A(k) @ x, moved, rtol=1e-12)
+        assert np.array_equal(model.linear.Q(k), model.process_covariance(x, world.u[k], k, world.portions[k])[:, :, 0])
+    assert np.array_equal(model.linear.C(0), model.measurement_jacobian(x, 0)[:, :, 0])
+
+
+def test_kalman_equals_a_textbook_loop(recording):
+    chosen = setting(recording)
+    world, model, driven = run(chosen, "kalman", 3)
+    assert model.linear and model.measurement_covariance
+    R, squared = model.measurement_covariance(0)[:, :, 0], np.zeros(3)
+    for r in range(3):
+        x, P = model.initial_mean[:, r], model.initial_covariance[:, :, 0]
+        for k in range(world.steps):
+            A = model.linear.A(k).copy()
+            A[2, 3] = world.u[k, 0, r]
+            x, P = A @ x, A @ P @ A.T + model.linear.Q(k)
+            C = model.linear.C(k)[world.received[k, :, r]]
+            K = P @ C.T @ np.linalg.inv(C @ P @ C.T + R[np.ix_(*[world.received[k, :, r]] * 2)])
+            x, P = x + K @ (world.y[k, world.received[k, :, r], r] - C @ x), P - K @ C @ P
+            squared[r] += (x[0] - world.truth[k, 0, r]) ** 2
+    assert driven.scored.metrics["rmse", "position"] == pytest.approx(np.sqrt(squared / world.steps), rel=1e-9)
+
+
+def test_dead_reckoning_ends_as_short_as_the_odometer(recording):
+    _, _, driven = run(setting(recording, "odometer"), "dead-reckoning", 1, "odometer")
+    table = trip()
+    short = 1e3 * (table.s_km.iloc[-1] - table.s_km[0]) - (table.odo_m.iloc[-1] - table.odo_m[0])
+    assert driven.scored.metrics["final", "position"][0] == pytest.approx(short, abs=1e-9)
+    assert short == pytest.approx((1 - SCALE) * 900, abs=5.0)
+
+
+@pytest.mark.parametrize("label", ["kalman", "ekf", "ukf", "ckf", "robust-mean-square"])
+def test_the_scale_as_a_state_beats_dead_reckoning_clearly(recording, label):
+    blind = run(setting(recording, "odometer"), "dead-reckoning", 1, "odometer")[2].scored.metrics
+    _, _, driven = run(setting(recording, "odometer"), label, 1, "odometer")
+    for metric in ("rmse", "final"):
+        assert driven.scored.metrics[metric, "position"][0] < 0.35 * blind[metric, "position"][0]
+    _, _, bridged = run(setting(recording, "sweep"), label, 30, "sweep")
+    assert bridged.outcomes["rmse", "position-outage-end", "m"].max() < 0.5 * blind["final", "position"][0]
+
+
+def test_without_an_odometer_the_speed_is_integrated(recording):
+    chosen = setting(recording, "as-recorded", {k: v for k, v in MAP.items() if k != "odometer"})
+    _, model, driven = run(chosen, "ekf", 1, "as-recorded")
+    assert model.states == ("position", "speed") and model.measurements == ("position", "speed")
+    assert driven.scored.metrics["rmse", "position"][0] < 2.0
+    world, _, reckoned = run(chosen, "dead-reckoning", 1, "as-recorded")
+    travelled = (world.portions * world.y[:, 1, 0]).sum()
+    final = abs(world.initial_mean[0, 0] + travelled - world.truth[-1, 0, 0])
+    assert reckoned.scored.metrics["final", "position"][0] == pytest.approx(final, abs=1e-9)
+
+
+def test_the_built_in_scenario_asks_for_a_recording():
+    chosen = load("recorded").setting("outage")
+    assert type(chosen).needs_file == "plant.recording"
+    with pytest.raises(InputError, match="--recording"):
+        chosen.world(Streams(1, "recorded", "outage", [0]))
+
+
+def broken(change):
+    table = trip()
+    change(table)
+    return table
+
+
+@pytest.mark.parametrize(("change", "columns", "message"), [
+    (lambda t: t.pop("odo_m"), MAP, "has no column \"odo_m\"; it has t_s"),
+    (lambda t: t.insert(0, "odd_m", "far"), {**MAP, "odometer": "odd_m"}, "\"odd_m\" is not numeric: row 1 has 'far'"),
+    (lambda t: t.__setitem__("t_s", t.t_s[::-1].to_numpy()), MAP, "time must increase"),
+    (lambda t: t.__setitem__("t_s", t.t_s.where(t.index != 4)), MAP, "the time is missing in row 5"),
+    (lambda t: t.__setitem__("s_km", t.s_km.where(t.index != 4)), MAP, "the reference position is missing in 1 rows"),
+    (lambda t: None, {**MAP, "speed": "v_knots"}, "map.speed: the unit of \"v_knots\" is unknown"),
+    (lambda t: None, {**MAP, "speed": "v_mps [furlong]"}, "allowed: m/s, mps, km/h"),
+    (lambda t: None, {**MAP, "altitude": "z_m"}, "map.altitude: no such role; allowed: time, position"),
+    (lambda t: None, {"position": "gnss_m"}, "map: needs time and position"),
+])
+def test_bad_recordings_get_one_message(tmp_path, change, columns, message):
+    broken(change).to_csv(tmp_path / "trip.csv", index=False)
+    with pytest.raises(InputError) as caught:
+        load("recorded", {"plant.recording": str(tmp_path / "trip.csv"), "plant.map": columns})
+    assert message in str(caught.value)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_files_that_are_no_recording(tmp_path):
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "trip.parquet").write_text("not parquet")
+    for name, message in (("none.csv", "cannot be read"), ("empty.csv", "not a CSV table"),
+                          ("trip.parquet", "not a Parquet table")):
+        with pytest.raises(InputError, match=message):
+            load("recorded", {"plant.recording": str(tmp_path / name), "plant.map": MAP})
+
+
+def test_too_few_rows(tmp_path):
+    trip().head(2).to_csv(tmp_path / "trip.csv", index=False)
+    with pytest.raises(InputError, match="needs at least three rows, but has 2"):
+        setting(str(tmp_path / "trip.csv"))
+
+
+def test_a_variant_without_any_recorded_sensor_says_so(recording):
+    chosen = setting(recording, "odometer", {"time": "t_s", "position": "gnss_m"})
+    with pytest.raises(InputError, match=r"uses speed, odometer, but plant\.map has position"):
+        chosen.world(Streams(1, "recorded", "odometer", [0]))
+
+
+def test_an_outage_longer_than_the_trip_is_refused(recording):
+    with pytest.raises(InputError, match="do not fit into the recording"):
+        setting(recording, **{"sensors.outage.duration": 500.0})
