@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
-from scipy.special import ndtr
+from scipy.special import gammaincinv, ndtr
 
 Array = NDArray[np.float64]
 
@@ -100,14 +100,15 @@ def pooled_interval(rmse_per_run: ArrayLike, level: float = 1 - ALPHA) -> Interv
     return Interval(root, root - half, root + half, v.size)
 
 
+@cache
 def chi_square_interval(runs: int, nx: int, level: float = 1 - ALPHA) -> tuple[float, float]:
     """Where the mean NEES of `runs` independent runs at *one* step, divided by nx, lies for a consistent estimator.
 
     runs x mean NEES is chi-square with runs x nx degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, 5.4.2-10).
     Not the interval of a mean over time as well: NEES of one run is correlated in time (see `anees`)."""
     degrees = runs * nx
-    low, high = (float(stats.chi2.ppf(share, degrees)) / degrees for share in ((1 - level) / 2, (1 + level) / 2))
-    return low, high
+    low, high = (2 * float(gammaincinv(degrees / 2, share)) for share in ((1 - level) / 2, (1 + level) / 2))
+    return low / degrees, high / degrees
 
 
 def anees(nees_per_run: ArrayLike, nx: int, level: float = 1 - ALPHA) -> Interval:
@@ -143,6 +144,18 @@ def wilson(successes: int, n: int, level: float = 1 - ALPHA) -> Interval:
     return Interval(share, low, 1.0 if successes == n else centre + half, n)
 
 
+@cache
+def _signed_rank_tail(n: int) -> Array:
+    """P(W <= w) of the signed-rank sum of n differences without ties, w = 0 .. n (n + 1) / 2."""
+    ways = np.ones(1)
+    for rank in range(1, n + 1):
+        grown = np.zeros(ways.size + rank)
+        grown[:ways.size] += ways
+        grown[rank:] += ways
+        ways = grown / 2
+    return np.cumsum(ways)
+
+
 def wilcoxon(differences: ArrayLike) -> float:
     """Two-sided p of Wilcoxon's signed-rank test, zeros ranked and dropped (Pratt), ties given mean ranks.
 
@@ -150,15 +163,16 @@ def wilcoxon(differences: ArrayLike) -> float:
     d = finite(differences)
     if d.size < 2 or not d.any():
         return 1.0
+    n = d.size
     ranks = stats.rankdata(np.abs(d))
     zeros = int((d == 0).sum())
     counts = np.unique(ranks[d != 0], return_counts=True)[1]
-    if d.size <= 50 and not zeros and counts.max() == 1:
-        return float(stats.wilcoxon(d, method="exact")[1])  # pyright: ignore[reportArgumentType]
-    n = d.size
+    above = float(ranks[d > 0].sum())
+    if n <= 50 and not zeros and counts.max() == 1:
+        return min(1.0, 2 * float(_signed_rank_tail(n)[round(min(above, n * (n + 1) / 2 - above))]))
     expected = (n * (n + 1) - zeros * (zeros + 1)) / 4
     variance = (n * (n + 1) * (2 * n + 1) - zeros * (zeros + 1) * (2 * zeros + 1) - (counts**3 - counts).sum() / 2) / 24
-    return float(2 * ndtr(-abs(ranks[d > 0].sum() - expected) / np.sqrt(variance)))
+    return float(2 * ndtr(-abs(above - expected) / np.sqrt(variance)))
 
 
 def paired(a: ArrayLike, b: ArrayLike, level: float = 1 - ALPHA) -> Paired:

@@ -129,13 +129,14 @@ class Store:
             return pd.DataFrame(columns=["scenario", "variant", "estimator", "quantity", "step", "time", "active",
                                          "squared", "fourth", "error"])
         keys = ["scenario", "variant", "estimator", "quantity", "step", "time"]
-        return table.to_pandas().groupby(keys, sort=False, as_index=False)[
-            ["active", "squared", "fourth", "error"]].sum()
+        sums = ["active", "squared", "fourth", "error"]
+        whole = table.group_by(keys, use_threads=False).aggregate([(name, "sum") for name in sums])
+        return whole.rename_columns({f"{name}_sum": name for name in sums}).to_pandas(strings_to_categorical=True)
 
     def trajectories(self) -> pd.DataFrame | None:
         """The kept trajectories (`--keep N`), or None."""
         table = self._read("trajectories")
-        return None if table is None else table.to_pandas()
+        return None if table is None else table.to_pandas(strings_to_categorical=True)
 
     def _read(self, kind: str, columns: list[str] | None = None) -> pa.Table | None:
         rows = {path.name for path in (self.folder / "rows").glob("*.parquet")}

@@ -69,13 +69,11 @@ def judged_columns(rows: pd.DataFrame, about: Mapping[str, Any]) -> list[Column]
 
 def by_run(rows: pd.DataFrame, column: str) -> dict[str, Array]:
     """One cell's column as an array per estimator, aligned by run (NaN where there is no value)."""
-    runs = np.unique(rows["run"].to_numpy())
-    out: dict[str, Array] = {}
-    for label, part in rows.groupby("estimator", sort=False):
-        values = np.full(len(runs), np.nan)
-        values[np.searchsorted(runs, part["run"].to_numpy())] = part[column].to_numpy(dtype=float)
-        out[str(label)] = values
-    return out
+    runs, place = np.unique(rows["run"].to_numpy(), return_inverse=True)
+    codes, labels = pd.factorize(rows["estimator"])
+    table = np.full((len(labels), len(runs)), np.nan)
+    table[codes, place] = rows[column].to_numpy(dtype=float)
+    return {str(label): values for label, values in zip(labels, table, strict=True)}
 
 
 def judge(errors: Mapping[str, Array], metric: str, oracles: Collection[str] = ()) -> dict[str, Judged]:

@@ -4,6 +4,7 @@ Read once; nothing here computes an estimate or a statistic."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -169,25 +170,31 @@ def assign_styles(groups: Sequence[Sequence[str]]) -> dict[str, Style]:
 
 
 def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], Curve]]:
-    out: dict[tuple[str, str], dict[tuple[str, str], Curve]] = {}
-    for (scenario, variant, label, quantity), part in frame.groupby(
-            ["scenario", "variant", "estimator", "quantity"], sort=False):
-        part = part.sort_values("step")
-        out.setdefault((str(scenario), str(variant)), {})[str(label), str(quantity)] = Curve(
-            *(part[name].to_numpy(dtype=float) for name in ("time", "active", "squared", "fourth", "error")))
-    return out
+    return {cell: {key: Curve(*columns) for key, columns in parts.items()} for cell, parts in
+            _split(frame, "quantity", ("time", "active", "squared", "fourth", "error")).items()}
 
 
 def _kept(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[tuple[str, str], Track]]:
-    out: dict[tuple[str, str], dict[tuple[str, str], Track]] = {}
     if frame is None:
-        return out
+        return {}
     first = frame.loc[frame["run"] == frame["run"].min()]
-    for (scenario, variant, label, name), part in first.groupby(["scenario", "variant", "estimator", "name"],
-                                                                 sort=False):
-        part = part.sort_values("step")
-        out.setdefault((str(scenario), str(variant)), {})[str(label), str(name)] = Track(
-            *(part[column].to_numpy(dtype=float) for column in ("time", "truth", "estimate", "sd")))
+    return {cell: {key: Track(*columns) for key, columns in parts.items()} for cell, parts in
+            _split(first, "name", ("time", "truth", "estimate", "sd")).items()}
+
+
+def _split(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> dict[
+        tuple[str, str], dict[tuple[str, str], list[Array]]]:
+    """Columns as arrays ordered by step: by (scenario, variant), then by (estimator, the column `name`)."""
+    coded = [pd.factorize(frame[key]) for key in ("scenario", "variant", "estimator", name)]
+    codes = np.array([code for code, _ in coded]).reshape(4, len(frame))
+    order = np.lexsort((frame["step"].to_numpy(), *codes[::-1]))
+    codes = codes[:, order]
+    values = [frame[column].to_numpy(dtype=float)[order] for column in columns]
+    edges = np.flatnonzero(np.r_[True, (np.diff(codes, axis=1) != 0).any(axis=0), True]) if len(frame) else []
+    out: dict[tuple[str, str], dict[tuple[str, str], list[Array]]] = {}
+    for begin, end in itertools.pairwise(edges):
+        names = [str(known[code]) for (_, known), code in zip(coded, codes[:, begin], strict=True)]
+        out.setdefault((names[0], names[1]), {})[names[2], names[3]] = [column[begin:end] for column in values]
     return out
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ...estimators.random_access_bounds import CovarianceBounds
-from ...scenarios.randomness import Streams
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import Array, Cell
@@ -15,11 +14,11 @@ from .example import thinned
 
 def covariance_bounds(cell: Cell) -> CovarianceBounds | None:
     """Theorems 2 to 4 for a variant, None where its channel is not random access."""
-    world = cell.setting.world(Streams(0, cell.scenario, cell.variant, (0,)))
-    model = cell.setting.design_model({}, world.initial_mean)
+    config = cell.setting.config
+    model = cell.setting.design_model({}, np.array(config.plant.x0, dtype=float)[:, None])
     if model.linear is None or model.reception is None or not model.reception.nodes:
         return None
-    return CovarianceBounds(model.linear, model.reception, model.initial_covariance[:, :, 0], world.steps)
+    return CovarianceBounds(model.linear, model.reception, model.initial_covariance[:, :, 0], config.time.steps)
 
 
 def trace_and_bounds(cell: Cell) -> Canvas | None:
