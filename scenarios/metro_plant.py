@@ -76,8 +76,11 @@ def level(v, u, forces):  # pyright: ignore
 
 @njit(cache=True, error_model="numpy", inline="always")
 def climb(s, slope):  # pyright: ignore
-    """Deceleration by the gradient at s (m), m/s^2. Beyond the line its first and last gradients go on."""
-    cell = np.int32(min(max(s * slope.cells, 0.0), float(slope.base.shape[0] - 1)))
+    """Deceleration by the gradient at s (m), m/s^2. Beyond the line its first and last gradients go on.
+
+    A lost estimator may ask at NaN, whose conversion would be an index outside the table: it takes the first cell."""
+    place, last = s * slope.cells, slope.base.shape[0] - 1
+    cell = np.int32(last if place >= last else (place if place > 0.0 else 0.0))
     return slope.base[cell] + (slope.jump[cell] if s >= slope.edge[cell] else 0.0)
 
 
