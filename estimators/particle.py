@@ -60,7 +60,7 @@ class BootstrapParticle(Estimator):
         assert model.measurement_covariance is not None
         images = np.array(model.measurement(self._particles, self._k), order="C")  # a copy even of the state itself
         # Drawn whether used or not, but only where something arrived: other runs' events must not move a run's stream.
-        told = received.any(axis=0)
+        told = np.asarray(received.any(axis=0), dtype=bool)
         offset = self._random.uniform(0.0, 1.0, which=told)
         if _weigh(images, y, received, model.measurement_covariance(self._k), self._logs, self._weights, self._failed):
             flag(self, self._failed, Status.failed, "no particle has a finite likelihood")
