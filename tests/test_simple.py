@@ -196,6 +196,7 @@ def test_particles_survive_a_measurement_of_the_state_itself() -> None:
     """A model whose measurement returns the very array it is given: nothing of the filter's is overwritten."""
     model = replace(models.coasting(3), measurement=lambda x, k: x)
     data = models.record(model, 3, 6)
-    copied, _ = models.feed(BootstrapParticle({"particles": 40}), replace(model, measurement=lambda x, k: x.copy()), data)
+    copying = replace(model, measurement=lambda x, k: x.copy())
+    copied, _ = models.feed(BootstrapParticle({"particles": 40}), copying, data)
     means, _ = models.feed(BootstrapParticle({"particles": 40}), model, data)
     np.testing.assert_array_equal(means, copied)
