@@ -1,0 +1,56 @@
+"""RBPF, SMA and GSMA, factorised and full, against a numpy loop over particles that does the same algorithm.
+
+The loop is `estimators/reference/particle_loop.py`, one run at a time, from the same random streams."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..estimators.reference.particle_loop import particle_loop
+from ..estimators.registry import estimators
+from ..scenarios.randomness import Streams
+from .plan import Cell
+from .speed import Array, Row, cell_of, line, ours, peer, recorded
+
+RUNS, STEPS, PEER_STEPS = 200, 150, 30
+
+
+def compare(repeats: int) -> list[Row]:
+    """A line per estimator and form. Both filters see the same run; the peer's is cut short."""
+    rows = []
+    for label in ("rbpf", "sma", "gsma"):
+        cell = cell_of("braking-rate/paper", label)
+        theirs, last = peer(_Loop(cell, label).run, 1)
+        for form in ("factorised", "full"):
+            here = with_form(cell, label, form)
+            mine, _, _ = ours(here, label, RUNS, STEPS, repeats)
+            same = ours(here, label, 1, PEER_STEPS, 1)[2]
+            rows.append(line(f"{label}, {form}", RUNS, mine, "numpy loop over particles", theirs,
+                             float(np.abs(same[:, 0] - last).max())))
+    return rows
+
+
+def with_form(cell: Cell, label: str, form: str) -> Cell:
+    """The cell with the estimator's `form` set."""
+    entry = cell.entries[label]
+    return Cell(cell.scenario, cell.variant, cell.where, cell.table, {label: entry.model_copy(
+        update={"parameters": {**entry.parameters, "form": form}})})
+
+
+class _Loop:
+    """The peer on run 0."""
+
+    def __init__(self, cell: Cell, label: str) -> None:
+        entry, setting = cell.entries[label], cell.setting()
+        self.world = recorded(cell, 1)
+        self.model = setting.design_model(entry.knowledge, self.world.initial_mean)
+        self.estimator: Any = estimators()[entry.plugin](entry.parameters)
+        self.streams, self.label = Streams(1, cell.scenario, cell.variant, (0,)), label
+
+    def run(self) -> tuple[int, Array]:
+        """One pass over the first steps; returns their number and the last mean."""
+        mean, _, _ = particle_loop(self.estimator, self.model, self.world.u[:PEER_STEPS, :, 0],
+                                   self.world.y[:PEER_STEPS, :, 0], self.streams("estimator", self.label))
+        return PEER_STEPS, mean[-1]
