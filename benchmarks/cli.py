@@ -11,6 +11,7 @@ import typer
 
 from ..scenarios.errors import InputError
 from .batch import Interrupted
+from .commands.check import check
 from .commands.design import certify, design
 from .commands.replay import replay
 from .commands.report import plot, report
@@ -26,7 +27,7 @@ app = typer.Typer(
 for function, name in (
         (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (design, "design"),
         (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
-        (schema, "schema")):
+        (check, "check"), (schema, "schema")):
     app.command(name)(function)
 
 

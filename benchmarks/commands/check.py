@@ -1,0 +1,45 @@
+"""`railstate check`: the conformance test of an estimator, as a table of rules kept and the findings in full."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...estimators.registry import estimator_class, load_file
+from ..conformance import Report
+from .options import overrides
+
+
+def check(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="An installed estimator, or a Python file.")],
+    scenario: Annotated[str, typer.Option(
+        help="Scenario, NAME/VARIANT or TOML file; none: chosen by what it needs.")] = "",
+    parameter: Annotated[list[str] | None, typer.Option(
+        metavar="KEY=VALUE", help="A parameter of the estimator.")] = None,
+) -> None:
+    """Check that an estimator keeps the rules of the suite; exit code 1 if it does not."""
+    from ..conformance import check as conformance
+
+    is_file = name.endswith(".py") or Path(name).is_file()
+    classes = load_file(name) if is_file else {name: estimator_class(name, "check")}
+    broken = 0
+    for plugin, cls in classes.items():
+        report = conformance(cls, plugin, overrides(parameter or [], "--parameter", "gain=0.5"), scenario)
+        _print(plugin, report)
+        broken += len(report.findings)
+    if broken:
+        raise typer.Exit(1)
+
+
+def _print(plugin: str, report: Report) -> None:
+    for case, kept in report.kept.items():
+        print(f"{plugin} on {case}: {len(kept)} rules kept: {', '.join(kept)}")
+    for case, reason in report.left_out.items():
+        print(f"{plugin} on {case}: left out: {reason}")
+    for found in report.findings:
+        print(f"\nBROKEN {found.rule} ({plugin} on {found.case})\n  expected: {found.expected}\n"
+              f"  happened: {found.happened}\n  mend:     {found.mend}")
+    count = len(report.findings)
+    print(f"{plugin}: {'all rules kept' if not count else f'{count} broken'}")

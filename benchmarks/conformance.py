@@ -1,0 +1,196 @@
+"""The conformance test of estimators: tapes are fed and compared bit for bit; findings say how to mend what is broken.
+
+`check` runs every rule of `conformance_rules` on the small model and on a scenario."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from ..estimators.interface import Array, Estimate, Estimator
+from ..scenarios.errors import Infeasible, InputError
+from ..scenarios.files import describe
+from ..scenarios.model import DesignModel
+from ..scenarios.randomness import Streams
+from .conformance_cases import Case, Tape, scenario_case, small_case
+
+CLAIMS = tuple(item.name for item in fields(Estimate))
+
+
+@dataclass(frozen=True)
+class Record:
+    """What an estimator said while a tape was fed: its estimate at the start and after each prediction and update (in
+    words: `when`), and status (S,), reason at the end."""
+
+    estimates: list[Estimate]
+    when: list[str]
+    status: NDArray[np.int8]
+    reason: str
+
+    def first(self, events: int) -> Record:
+        """The part before the end of `events` events."""
+        return Record(self.estimates[:1 + 2 * events], self.when[:1 + 2 * events], self.status, self.reason)
+
+    def of(self, which: list[int]) -> Record:
+        """The part of some runs."""
+        def take(value: Array | None) -> Array | None:
+            return value if value is None or value.shape[-1] == 1 else value[..., which]
+
+        return Record([Estimate(*(take(getattr(e, name)) for name in CLAIMS)) for e in self.estimates],  # pyright: ignore
+                      self.when, self.status[which], self.reason)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An estimator class on a case, with the record of its first, undisturbed run."""
+
+    cls: type[Estimator]
+    case: Case
+    record: Record
+
+    def feed(self, tape: Tape | None = None, **how: Any) -> Record:
+        """Feed a copy of a tape (the case's own where none is given) to a fresh instance, or to `instance`."""
+        return feed(self.cls, self.case, (self.case.tape if tape is None else tape).copy(), **how)
+
+
+class Rule(NamedTuple):
+    """`test` returns what happened where the rule is broken, None where it is kept."""
+
+    name: str
+    expected: str
+    mend: str
+    test: Callable[[Trial], str | None]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A broken rule."""
+
+    rule: str
+    case: str
+    expected: str
+    happened: str
+    mend: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Outcome of a check: rules kept per case, cases left out with their reason, findings."""
+
+    kept: dict[str, list[str]]
+    left_out: dict[str, str]
+    findings: list[Finding]
+
+
+def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | None = None,
+         model: DesignModel | None = None, skip: bool = False) -> Record:
+    """What an estimator says of a tape. skip: it is not called where no run has anything to do. Raises what it raises,
+    Infeasible too."""
+    with np.errstate(all="ignore"):
+        estimator = cls(case.parameters) if instance is None else instance
+        model = model or case.model(tape.initial_mean)
+        cls.require(model)
+        estimator.design(model)
+        streams = Streams(case.streams.seed, case.streams.scenario, case.streams.variant, tape.runs)
+        estimator.start(model, len(tape.runs), streams("estimator", "checked"))
+        estimates, when = [_copied(estimator.estimate())], ["at the start"]
+        for e, portion in enumerate(tape.portions):
+            if estimator.oracle and tape.begins[e]:
+                estimator.reveal(tape.truth[e])
+            still = isinstance(portion, float) and portion == 0.0
+            if not still and not (skip and not np.any(portion)):
+                estimator.predict(tape.u[e], portion)
+            estimates.append(_copied(estimator.estimate()))
+            when.append(f"after the prediction of event {e}")
+            if not (skip and not tape.received[e].any()):
+                estimator.update(tape.y[e], tape.received[e])
+            estimates.append(_copied(estimator.estimate()))
+            when.append(f"after the measurement of event {e}")
+    return Record(estimates, when, np.array(estimator.status), estimator.reason)
+
+
+def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scenario: str = "") -> Report:
+    """Check an estimator class on the small model and on a scenario. Raises InputError for parameters or a scenario
+    that cannot be."""
+    from .conformance_rules import RULES
+
+    try:
+        found = scenario_case(cls, plugin, parameters, scenario)
+        cases = [small_case(parameters), *([found] if found else [])]
+    except ValidationError as error:
+        raise InputError("\n".join(describe(error, "parameters"))) from None
+    report = Report({}, {}, [])
+    if not found:
+        report.left_out["scenarios"] = "no built-in scenario gives what it needs"
+    for case in cases:
+        try:
+            record = feed(cls, case, case.tape.copy())
+        except (Infeasible, ValidationError) as error:
+            report.left_out[case.name] = str(error)
+            continue
+        except Exception as error:
+            report.findings.append(Finding("runs", case.name, "design, start, predict, update and estimate do their "
+                                           "work", raised(error), "see the line named above"))
+            continue
+        trial = Trial(cls, case, record)
+        for rule in RULES:
+            try:
+                happened = rule.test(trial)
+            except Exception as error:
+                happened = raised(error)
+            if happened is None:
+                report.kept.setdefault(case.name, []).append(rule.name)
+            else:
+                report.findings.append(Finding(rule.name, case.name, rule.expected, happened, rule.mend))
+                if rule is RULES[0]:
+                    break  # without the right shapes the other rules say nothing
+    if len(report.left_out) == 2:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in report.left_out.items())
+        report.findings.append(Finding("runs", "all", "a design model it works with", reasons,
+                                       "name a scenario that gives what it needs (--scenario), or parameters that fit "
+                                       "it (--parameter KEY=VALUE)"))
+    return report
+
+
+def raised(error: Exception) -> str:
+    """An exception with the place in the plug-in where it came from."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = next((f" at {frame.filename}:{frame.lineno} in {frame.name}" for frame in reversed(frames)
+                  if "conformance" not in frame.filename), "")
+    return f"it raised {type(error).__name__}: {error}{place}"
+
+
+def difference(one: Record, other: Record, which: list[int] | None = None, *,
+               statuses: bool = True) -> str | None:
+    """Where `one` first differs from `other` in a bit, in words; `which`: the runs of `other` that `one` holds.
+    statuses: those at the end are compared too."""
+    for a, b, when in zip(one.estimates, other.estimates, one.when, strict=False):
+        for name in CLAIMS:
+            mine: Array | None = getattr(a, name)
+            theirs: Array | None = getattr(b, name)
+            if (mine is None) != (theirs is None):
+                return f"{when} {name} is {'missing' if mine is None else 'given'}, otherwise not"
+            if mine is None or theirs is None:
+                continue
+            runs = list(range(b.mean.shape[1])) if which is None else which
+            theirs = np.broadcast_to(theirs, np.broadcast_shapes(theirs.shape, b.mean.shape[1:]))[..., runs]
+            mine = np.broadcast_to(mine, theirs.shape)
+            for place in np.argwhere((mine != theirs) & ~(np.isnan(mine) & np.isnan(theirs))).tolist():
+                *index, run = place
+                return (f"{when} {name}{index or ''} of run {runs[run]} is {mine[tuple(place)]:.17g}, otherwise "
+                        f"{theirs[tuple(place)]:.17g}")
+    ended = other.status if which is None else other.status[which]
+    if statuses and (one.status != ended).any():
+        return f"statuses at the end are {one.status.tolist()}, otherwise {ended.tolist()}"
+    return None
+
+
+def _copied(estimate: Estimate) -> Estimate:
+    return Estimate(*(None if value is None else np.array(value) for value in
+                      (getattr(estimate, name) for name in CLAIMS)))  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,297 @@
+"""The rules an estimator must keep, each with what is expected of it and how to mend a plug-in that breaks it.
+
+A rule is a function of a `Trial` that returns what happened where it is broken."""
+
+from __future__ import annotations
+
+import pickle
+import random
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+import numpy as np
+
+from ..estimators.interface import Array, Status
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import DesignModel
+from .conformance import CLAIMS, Record, Rule, Trial, difference, feed
+
+ROUNDING = 1e-9
+"""How far a claimed matrix may be from symmetric and semi-definite, relative to its largest element."""
+MATRICES = ("covariance", "ellipsoid")
+ABSURD = 1e9
+
+
+def _shapes(trial: Trial) -> str | None:
+    model = trial.case.model(trial.case.tape.initial_mean)
+    nx, runs = model.nx, len(trial.case.tape.runs)
+    record = trial.record
+    if record.status.shape != (runs,):
+        return f"status has shape {record.status.shape} for {runs} runs"
+    parameters = trial.case.tape.truth.shape[1] - nx
+    for estimate, when in zip(record.estimates, record.when, strict=True):
+        wanted: dict[str, list[tuple[int, ...]]] = {
+            "mean": [(nx, runs)],
+            "parameter": [(n, runs) for n in range(1, parameters + 1)],
+            **{name: [(n, n, s) for n in range(1, nx + 1) for s in (runs, 1)] for name in MATRICES},
+            "bound": [(runs,), (1,)], "diversity": [(runs,)]}
+        for name, allowed in wanted.items():
+            value = getattr(estimate, name)
+            if value is None:
+                continue
+            if value.shape not in allowed or value.dtype.kind not in "fiu":
+                return (f"{when} {name} has shape {value.shape}, type {value.dtype}; allowed for {nx} states and "
+                        f"{runs} runs: numbers of shape {' or '.join(map(str, reversed(allowed)))}")
+    return None
+
+
+def _description(trial: Trial) -> str | None:
+    cls = trial.cls
+    if not cls.summary.strip():
+        return "summary is empty"
+    for attribute, names, allowed in (("needs", cls.needs, [f.name for f in fields(DesignModel)]),
+                                      ("claims", cls.claims, CLAIMS[1:])):
+        unknown = [name for name in names if name not in allowed]
+        if isinstance(names, str) or unknown:
+            return f"{attribute} = {names!r} holds unknown names; allowed: {', '.join(allowed)}"
+    silent = {name for estimate in trial.record.estimates for name in CLAIMS[1:-1]
+              if getattr(estimate, name) is not None} - set(cls.claims)
+    return f"estimate() gives {', '.join(sorted(silent))}, which claims does not list" if silent else None
+
+
+def _causality(trial: Trial) -> str | None:
+    tape = trial.case.tape
+    half = len(tape.portions) // 2
+    end = slice(half, None)
+    later = tape.copy()
+    for values, shift in ((later.u, 1.0), (later.y, 1.0), (later.truth, 1.0)):
+        values[end] = values[end][::-1] + shift
+    later.received[end] = later.received[end][::-1]
+    found = difference(trial.feed(later).first(half), trial.record.first(half), statuses=False)
+    return f"with other measurements from event {half} on, {found}" if found else None
+
+
+def _independence(trial: Trial) -> str | None:
+    tape = trial.case.tape
+    for which in ([3], [4, 0]):
+        found = difference(trial.feed(tape.only(which)), trial.record, which)
+        if found:
+            return f"with only the runs {which} of {len(tape.runs)} in the batch, {found}"
+    spoilt = tape.copy()
+    spoilt.y[..., 1] = ABSURD
+    others = [0, 2, 3, 4]
+    found = difference(trial.feed(spoilt).of(others), trial.record, others)
+    return f"when run 1 measures nonsense, {found}" if found else None
+
+
+def _determinism(trial: Trial) -> str | None:
+    found = difference(trial.feed(), trial.record)
+    if found:
+        return f"a second instance on the same tape and random stream: {found}"
+    instance = trial.cls(trial.case.parameters)
+    trial.feed(trial.case.tape.only([1, 2]), instance=instance)
+    found = difference(trial.feed(instance=instance), trial.record)
+    return f"an instance that is started a second time: {found}" if found else None
+
+
+def _no_global_random(trial: Trial) -> str | None:
+    kept = random.getstate(), np.random.get_state()  # noqa: NPY002
+    try:
+        records = []
+        for seed in (1, 2):
+            random.seed(seed)
+            np.random.seed(seed)  # noqa: NPY002
+            before = random.getstate(), _numpy_state()
+            records.append(trial.feed())
+            if before != (random.getstate(), _numpy_state()):
+                return "the state of the global generator of random or numpy.random changed"
+        return difference(records[1], records[0])
+    finally:
+        random.setstate(kept[0])
+        np.random.set_state(kept[1])  # noqa: NPY002
+
+
+def _missing(trial: Trial) -> str | None:
+    tape = trial.case.tape
+    for value in (np.nan, 1e30):
+        found = difference(trial.feed(replace(tape, y=np.where(tape.received, tape.y, value))), trial.record)
+        if found:
+            return f"with {value} in the elements that were not received, {found}"
+    return None
+
+
+def _inputs(trial: Trial) -> str | None:
+    tape = trial.case.tape.copy()
+    model = trial.case.model(tape.initial_mean)
+    watched, original = dict(_arrays(model)), tape.copy()
+    before = {name: value.copy() for name, value in watched.items()}
+    feed(trial.cls, trial.case, tape, model=model)
+    changed = [name for name, value in watched.items() if not np.array_equal(value, before[name], equal_nan=True)]
+    changed += [name for name in ("u", "y", "received", "truth")
+                if not np.array_equal(getattr(tape, name), getattr(original, name))]
+    return f"it changed {', '.join(changed)}" if changed else None
+
+
+def _claims(trial: Trial) -> str | None:
+    for estimate, when in zip(trial.record.estimates, trial.record.when, strict=True):
+        for name in MATRICES:
+            value = getattr(estimate, name)
+            if value is None:
+                continue
+            for run in range(value.shape[2]):
+                wrong = _not_a_covariance(value[:, :, run])
+                if wrong and trial.record.status[run] == Status.ok:
+                    return f"{when} {name} of run {run} {wrong}"
+        if estimate.bound is not None and (~(estimate.bound >= 0) & (trial.record.status == Status.ok)).any():
+            return f"{when} bound is {estimate.bound.tolist()}: a mean square is not negative"
+    last, model = trial.record.estimates[-1], trial.case.model(trial.case.tape.initial_mean)
+    missing = [name for name in trial.cls.claims if getattr(last, name) is None
+               and (name != "bound" or model.performance is not None)]  # without a performance there is none to bound
+    return f"claims lists {', '.join(missing)}, but the last estimate has none" if missing else None
+
+
+def _statuses(trial: Trial) -> str | None:
+    record = trial.record
+    known = [status.value for status in Status]
+    if not set(np.unique(record.status)) <= set(known):
+        return f"status holds {sorted(set(record.status.tolist()))}; allowed: {known}"
+    found = _unflagged(record)
+    if found:
+        return found
+    if record.status.any() and not record.reason:
+        return f"statuses are {record.status.tolist()}, but reason is empty"
+    tape = trial.case.tape
+    half = len(tape.portions) // 2
+    received = tape.received.copy()
+    received[2:2 + half, :, 0] = False
+    found = _unflagged(trial.feed(replace(tape, received=received)))
+    return f"when run 0 hears nothing for {half} events, {found}" if found else None
+
+
+def _pickling(trial: Trial) -> str | None:
+    if pickle.loads(pickle.dumps(trial.cls)) is not trial.cls:
+        return "the unpickled class is another one"
+    fresh = trial.cls(trial.case.parameters)
+    if pickle.loads(pickle.dumps(fresh.parameters)) != fresh.parameters:
+        return "the unpickled parameters are not equal to the pickled ones"
+    found = difference(trial.feed(instance=pickle.loads(pickle.dumps(fresh))), trial.record)
+    return f"an instance that was pickled: {found}" if found else None
+
+
+def _parts(trial: Trial) -> str | None:
+    if not trial.case.exact_parts or trial.cls.oracle:
+        return None
+    tape = trial.case.tape.copy()
+    share = np.array([0.0, 0.4, 1.0])
+    events, runs = len(tape.portions), len(tape.runs)
+    portions = tuple(share[(np.arange(runs) * 2 + e + e // 3) % 3] for e in range(events))
+    idle = np.stack(portions)[:, None, :] == 0.0
+    tape = replace(tape, portions=portions, received=tape.received & ~idle)
+    try:
+        record = trial.feed(tape)
+    except Unsupported:
+        return None
+    for e, portion in enumerate(portions):
+        before, after = (Record(record.estimates[i:i + 1], record.when[i:i + 1], record.status, "")
+                         for i in (2 * e, 2 * e + 2))
+        rest = [run for run in range(runs) if portion[run] == 0.0]
+        found = difference(after.of(rest), before, rest, statuses=False)
+        if found:
+            return f"a run that goes no part of a step and hears nothing moved: {found}"
+    for run in (1, 2):
+        found = difference(trial.feed(tape.only([run]), skip=True), record, [run])
+        if found:
+            return f"alone in its batch, where predictions of no length are not made, {found}"
+    return None
+
+
+def _unflagged(record: Record) -> str | None:
+    """A number that is none in a run whose status is ok."""
+    for estimate, when in zip(record.estimates, record.when, strict=True):
+        for name in CLAIMS:
+            value = getattr(estimate, name)
+            if value is None:
+                continue
+            bad = ~np.isfinite(value) if name != "bound" else np.isnan(value)
+            bad = np.broadcast_to(bad.reshape(-1, bad.shape[-1]).any(axis=0), record.status.shape)
+            run = int(np.argmax(bad & (record.status == Status.ok)))
+            if bad[run] and record.status[run] == Status.ok:
+                return f"{when} {name} of run {run} is not finite although its status is ok at the end"
+    return None
+
+
+def _not_a_covariance(matrix: Array) -> str | None:
+    """What keeps a matrix (n, n) from being symmetric and positive semi-definite, up to rounding."""
+    if not np.isfinite(matrix).all():
+        return "is not finite"
+    slack = ROUNDING * np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > slack:
+        return f"is not symmetric: {matrix.tolist()}"
+    least = np.linalg.eigvalsh((matrix + matrix.T) / 2)[0]
+    return f"has the negative eigenvalue {least:.3g}" if least < -slack else None
+
+
+def _numpy_state() -> bytes:
+    return pickle.dumps(np.random.get_state())  # noqa: NPY002
+
+
+def _arrays(model: DesignModel) -> Iterator[tuple[str, Array]]:
+    """The arrays a design model holds or hands out, by name."""
+    for name, value in (*vars(model).items(), *(("measurement_covariance", r(0)) for r in [model.measurement_covariance]
+                                                if r)):
+        if isinstance(value, np.ndarray):
+            yield name, value
+    for part in (model.bounds, model.modes):
+        for name, value in vars(part).items() if part else ():
+            if isinstance(value, np.ndarray):
+                yield f"{type(part).__name__.lower()}.{name}", value
+    if model.linear:
+        for name in "ABhCQR":
+            yield f"linear.{name}", getattr(model.linear, name)(0)
+
+
+RULES = (
+    Rule("shapes",
+         "arrays with the runs as their last axis: mean (nx, S), covariance and ellipsoid (n, n, S or 1), bound "
+         "(S or 1,), parameter (np, S), status (S,)",
+         "give every array its runs axis; call super().start(model, runs, random) first in start", _shapes),
+    Rule("description",
+         "a one-line summary; needs and claims name parts of DesignModel and Estimate; claims has all that is claimed",
+         "set the class attributes summary, needs = (..) and claims = (..)", _description),
+    Rule("causality",
+         "what comes later changes nothing before",
+         "use only what predict and update have been given so far; keep nothing on the class between batches",
+         _causality),
+    Rule("independence",
+         "a run's numbers are the same to the last bit in any batch and whatever other runs measure",
+         "combine nothing over the last axis and let no BLAS (@, dot, einsum, linalg) touch it: loops over the small "
+         "indices, or the functions of railstate.estimators.kernels", _independence),
+    Rule("determinism",
+         "the same tape and random stream give the same bits, and start begins anew",
+         "draw only from the `random` handed to start; set in start all that changes, nothing on the class",
+         _determinism),
+    Rule("global random state",
+         "no use of the global generators of random and numpy.random",
+         "draw from the `random` handed to start: random.normal(n), random.uniform(low, high, n), random.generators[s]",
+         _no_global_random),
+    Rule("missing measurements",
+         "elements of y that were not received are never used",
+         "take y through the mask: np.where(received, y - predicted, 0.0), before any arithmetic that passes a NaN on",
+         _missing),
+    Rule("inputs",
+         "u, y, received, the truth and the design model's arrays are left as they are",
+         "copy before changing: x = model.initial_mean.copy(), no in-place operators on what was handed in", _inputs),
+    Rule("claims",
+         "covariances and ellipsoids symmetric and positive semi-definite, bounds not negative, all of `claims` made",
+         "symmetrise (P + P') / 2, use the Joseph form, or drop the claim", _claims),
+    Rule("statuses",
+         "finite numbers wherever status is ok; a reason wherever it is not",
+         "flag(self, failed, Status.failed, 'why') for the runs (S,) that went wrong", _statuses),
+    Rule("pickling",
+         "class, parameters and instance survive pickling, since runs go to other processes",
+         "define the class at the top level of a module; keep lambdas, files and locks out of __init__", _pickling),
+    Rule("parts of a step",
+         "a run whose portion is 0 stays as it is, its random stream too; a method for whole steps raises Unsupported",
+         "use `portion` as a factor (transition(x, u, k, portion)), draw with which=portion != 0, or raise Unsupported",
+         _parts),
+)
