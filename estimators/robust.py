@@ -13,7 +13,7 @@ from pydantic import Field, PositiveFloat
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Array, Estimate, Mask, Status
-from .robust_base import Robust, RobustParameters, bounds_of, plain
+from .robust_base import Robust, RobustParameters, SensorParameters, plain
 from .robust_fast import recursive_step
 from .robust_memoryless import memoryless_step
 
@@ -26,7 +26,11 @@ class RecursiveParameters(RobustParameters):
                     "ellipsoid holds the box of half-widths sqrt(P0_ii))")] = None
 
 
-class BoundedParameters(RobustParameters):
+class EllipsoidParameters(RecursiveParameters, SensorParameters):
+    """Parameters of F2."""
+
+
+class BoundedParameters(SensorParameters):
     """Parameters of F1."""
 
     mu: Annotated[float, Field(gt=0, lt=1, description="P << mu I, the paper's stability condition")] = 0.9999
@@ -97,12 +101,12 @@ class RobustEllipsoid(_Recursive):
     Truths outside the bounds (Gaussian tails, a gradient step between estimate and truth) are outside the guarantee."""
 
     summary = "guaranteed error ellipsoid for bounded disturbance and noise (F2)"
+    Parameters = EllipsoidParameters
     claims = ("ellipsoid",)
     ellipsoid = True
 
     def _noise(self) -> Array:
-        bounds = bounds_of(self.model)
-        return np.diag(np.where(np.isfinite(bounds.v_bar), bounds.v_bar, 0.0) ** 2)
+        return np.diag(self._v**2)
 
     def estimate(self) -> Estimate:
         return Estimate(self._x, ellipsoid=self._bound())
@@ -141,8 +145,8 @@ class RobustBounded(Robust):
 
     The P of a step bounds one-step growth from a unit error and is no bound of the error: nothing is claimed. kappa is
     sought within one P0 (ellipsoid e' P0^-1 e <= 1) around the estimate, as there is no error bound. Where P << mu I
-    is active the compiled form does not apply: cvxpy then solves that step, and a run for which it has no solution is
-    infeasible. A step without any measurement has K = 0 and no such constraint."""
+    is active the compiled form does not apply and the run is infeasible (cvxpy solves it where it can be solved). A
+    step without any measurement has K = 0 and no such constraint."""
 
     summary = "memoryless robust estimator, a convex problem per step (F1, Liu et al. 2025)"
     Parameters = BoundedParameters
@@ -152,39 +156,33 @@ class RobustBounded(Robust):
         super().start(model, runs, random)
         nx = model.nx
         self._P0 = plain(np.broadcast_to(model.initial_covariance, (nx, nx, runs)))
-        v_bar = bounds_of(model).v_bar
-        self._D = np.where(np.isfinite(v_bar), v_bar, 0.0)
         self._P, self._objective = np.zeros((nx, nx, runs)), np.zeros(runs)
 
     def _region(self) -> Array:
         return self._P0
 
     def _find(self, C: Array, received: Mask) -> None:
-        some = received.any(axis=0)
-        before = self.stability.copy()
-        memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._D, C, received,
-                        self.parameters.mu, self._K, self._P, self._objective, self.stability, self._verdict)
-        chosen = some if self.parameters.solver == "cvxpy" else self._verdict == 3
-        for run in np.flatnonzero(chosen & (self.status == Status.ok)):
-            self.stability[run] = before[run]
-            self._find_convex(int(run), C, received[:, run])
-
-    def _find_convex(self, run: int, C: Array, received: Mask) -> None:
+        if self.parameters.solver == "fast":
+            memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._v, C, received,
+                            self.parameters.mu, self._K, self._P, self._objective, self.stability, self._verdict)
+            return
         from .robust_convex import BoundedProblem
 
         if self._convex is None:
             self._convex = BoundedProblem(self.model.nx, self._whole.shape[1], self.model.ny, self.parameters.mu)
-        A, N, g, H = self._of_run(C, run)
-        solution = self._convex.solve(A, self._M, N, g, self._D, H, received)
-        if np.isfinite(solution.objective):
-            self._verdict[run] = 0
-            self._P[:, :, run], self._objective[run] = solution.P, solution.objective
-            self._note(run, C, solution.K)
-        else:
+        for run in range(self.runs):
             self._K[:, :, run] = 0.0
-            self._verdict[run] = 3
-            if not solution.status.startswith("infeasible"):
-                self._verdict[run] = 0
+            if self.status[run] != Status.ok or not (self._moved[run] or received[:, run].any()):
+                continue
+            if not received[:, run].any():
+                self._note(run, C, self._K[:, :, run])
+                continue
+            A, N, g, H = self._of_run(C, run)
+            solution = self._convex.solve(A, self._M, N, g, self._v, H, received[:, run])
+            if np.isfinite(solution.objective):
+                self._P[:, :, run], self._objective[run] = solution.P, solution.objective
+                self._note(run, C, solution.K)
+            else:
                 self._unsolved(run, solution.status)
 
     def estimate(self) -> Estimate:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from ..scenarios.errors import Unsupported
 from ..scenarios.model import Bounds, DesignModel, Portion
@@ -19,8 +19,8 @@ SOURCE = "Liu et al., Measurement and Control 2025, doi 10.1177/0020294025136805
 REASONS = {
     1: "C S C' + R is singular: sensors without noise that repeat each other or see no uncertainty",
     2: "the bound is not finite: kappa, the bounds or the estimate left the range of numbers",
-    3: "the constraint P << mu I of the problem F1 cannot be met: the measurements received do not make the step a "
-       "contraction",
+    3: "the constraint P << mu I of the problem F1 is active or cannot be met: the measurements received make the step "
+       "no contraction by themselves; solver = \"cvxpy\" tells which",
 }
 
 
@@ -31,6 +31,14 @@ class RobustParameters(Parameters):
         description="compiled form, or the convex problem itself")] = "fast"
     kappa: Annotated[NonNegativeFloat | None, Field(
         description="constant factor of the linearisation error (unit of 1/N); default: the design model's")] = None
+
+
+class SensorParameters(RobustParameters):
+    """Parameters of F1 and F2, which need bounds of the measurement noise."""
+
+    sigmas: Annotated[PositiveFloat | None, Field(
+        description="bound of a sensor that has none (v_bar infinite), in standard deviations; F2's guarantee then "
+                    "holds while the noise stays within it. Default: such sensors are not used")] = None
 
 
 class Robust(Estimator):
@@ -47,14 +55,23 @@ class Robust(Estimator):
     def design(self, model: DesignModel) -> dict[str, Any]:
         """Nothing to be found offline; refuses (Unsupported) what the problem cannot be written for."""
         bounds, name = bounds_of(model), type(self).__name__
-        if self.sensors_bounded and not np.isfinite(bounds.v_bar).any():
+        if self.sensors_bounded and not np.isfinite(self._sensor_bounds(model)).any():
             raise Unsupported(f"{name} needs a bound of the measurement noise, and no sensor of this scenario has one "
-                              "(v_bar is infinite); robust-mean-square takes its covariance instead")
+                              "(v_bar is infinite): set `sigmas` to bound it by standard deviations, or take "
+                              "robust-mean-square, which uses its covariance")
         if not np.isfinite(bounds.w_bar).all():
             raise Unsupported(f"{name} needs finite disturbance bounds w_bar")
         if self.parameters.kappa is not None and bounds.M is None:
             raise Unsupported(f"{name}: kappa is given, but the design model has no linearisation error (M, N)")
         return {}
+
+    def _sensor_bounds(self, model: DesignModel) -> Array:
+        """v_bar (ny,), with `sigmas` standard deviations for a sensor that has no bound."""
+        v_bar = bounds_of(model).v_bar
+        if self.parameters.sigmas is None or model.measurement_covariance is None:
+            return v_bar
+        return np.where(np.isfinite(v_bar), v_bar, self.parameters.sigmas * np.sqrt(
+            np.diagonal(model.measurement_covariance(0)[:, :, 0])))
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
@@ -63,7 +80,11 @@ class Robust(Estimator):
         self._M = np.zeros(nx) if bounds.M is None else plain(bounds.M[:, 0])
         self._N = np.zeros(nx) if bounds.N is None else plain(bounds.N[0])
         self._whole = plain((bounds.G * bounds.w_bar)[:, :, None])
-        self._usable = np.isfinite(bounds.v_bar)[:, None] if self.sensors_bounded else np.ones((model.ny, 1), bool)
+        self._usable, self._v = np.ones((model.ny, 1), dtype=bool), np.zeros(model.ny)
+        if self.sensors_bounded:
+            v_bar = self._sensor_bounds(model)
+            self._usable[:, 0] = np.isfinite(v_bar)
+            self._v = np.where(self._usable[:, 0], v_bar, 0.0)
         self._none = np.zeros((model.ny, runs), dtype=bool)
         self._K = np.zeros((nx, model.ny, runs))
         self._verdict = np.zeros(runs, dtype=np.int64)

@@ -266,7 +266,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
             good = _gain(S, Cr, m, Rr, share, 1 + nw, ellipsoid, W, k)
             if not good:
                 break
-        if not good or not now < 1e100:
+        if not (good and now < 1e100 and c2 < 1e100):
             verdict[s] = 1 if not good and begun < 1e100 else 2
             for i in range(n):
                 for j in range(ny):

@@ -29,7 +29,9 @@ def _value(g, g0, Q0, beta, nu):  # pyright: ignore
 
 @njit(cache=True)
 def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
-    """Minimise f over g, from g0, by damped Newton steps; exactly g = 0 where that kink is the optimum."""
+    """Minimise f over g by damped Newton steps; exactly g = 0 where that kink is the optimum.
+
+    The steps start below f(0) and only descend, so that they never get caught in a kink that is not the optimum."""
     n = len(g)
     scale = 1e-300
     for i in range(n):
@@ -48,7 +50,21 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         if total <= nu * beta * beta:
             g[:] = 0.0
             return
-    g[:] = g0
+        # W^-1 g0 is the steepest way down from the kink.
+        g[:] = 0.0
+        kink = _value(g, g0, Q0, beta, nu)[0]
+        trial[:] = slope
+        f = kink
+        for _ in range(60):
+            g[:] = trial
+            f = _value(g, g0, Q0, beta, nu)[0]
+            if f < kink:
+                break
+            trial *= 0.5
+        if not _value(g0, g0, Q0, beta, nu)[0] > f:
+            g[:] = g0
+    else:
+        g[:] = g0
     f, q, inner = _value(g, g0, Q0, beta, nu)
     for _ in range(60):
         if q <= 0.0:

@@ -77,7 +77,7 @@ def invert(C, n, inverse, work):  # pyright: ignore
 
 @njit(cache=True)
 def largest_eigenvalue(X):  # pyright: ignore
-    """Largest eigenvalue of the symmetric X (n, n) by Jacobi rotations (X is overwritten). NaN where X is not finite."""
+    """Largest eigenvalue of the symmetric X (n, n) by Jacobi rotations (X is overwritten). NaN: X is not finite."""
     n = X.shape[0]
     if n == 2:
         half = 0.5 * (X[0, 0] - X[1, 1])

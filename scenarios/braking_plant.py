@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from .model import Array, DesignModel, Linear, Modes, Portion, linear_model
+from .model import Array, Bounds, DesignModel, Linear, Modes, Portion, linear_model
 
 STATES = ("displacement", "speed", "control-acceleration", "target-acceleration")
 PARAMETER = "f"
@@ -164,7 +164,10 @@ def scheduled_model(told: Told, walk: Walk, targets: Array) -> DesignModel:
     """The augmented state with a_z taken as known: linear in (D, v, a^, f), time-varying through a_z and a_t.
 
     targets (K,): a_t over the step into k. a_z follows from it without noise, the same in every run, so the ordinary
-    Kalman filter is exact here. The commanded profile is knowledge of the brake controller, not of the truth."""
+    Kalman filter is exact here. The commanded profile is knowledge of the brake controller, not of the truth.
+
+    Bounds (f as a bounded unknown) where a_t and a_z are constant, so that a change of f always moves the state the
+    same way: |f(k+1) - f(k)| <= sqrt(3 variance), as for uniform steps of that variance; speed noise within 3 sigma."""
     plant = told.plant
     steps = len(targets)
     x = told.initial_mean[:, :1]
@@ -184,5 +187,11 @@ def scheduled_model(told: Told, walk: Walk, targets: Array) -> DesignModel:
     last = steps - 1
     linear = Linear(lambda k: A[min(k, last)], lambda k: B, lambda k: zero, lambda k: C, lambda k: Q[min(k, last)],
                     lambda k: told.R, constant=False)
+    bounds = None
+    if np.abs(gains - gains[0]).max() <= 1e-3 * np.abs(gains[0]).max():
+        G = np.zeros((5, 2))
+        G[:3, 0], G[4, 0], G[1, 1] = gains[0], 1.0, 1.0
+        w_bar = np.array([np.sqrt(3 * walk.step), 3 * np.sqrt(told.speed_variance)])
+        bounds = Bounds(G, w_bar, np.full(len(C), np.inf))
     return linear_model(linear, states=(*STATES, PARAMETER), measurements=told.measurements, period=told.period,
-                        initial_mean=mean, initial_covariance=covariance)
+                        initial_mean=mean, initial_covariance=covariance, bounds=bounds)

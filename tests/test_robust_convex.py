@@ -1,0 +1,146 @@
+"""The robust estimators' compiled forms against their convex problems, solved by cvxpy and Clarabel."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from railstate.benchmarks.drive import prepare
+from railstate.estimators.interface import Status
+from railstate.estimators.robust import RobustBounded, RobustEllipsoid, RobustMeanSquare
+from railstate.estimators.robust_convex import BoundedProblem, RecursiveProblem, Solution
+from railstate.estimators.robust_fast import recursive_step
+from railstate.estimators.robust_memoryless import memoryless_step
+from railstate.scenarios.files import load
+from railstate.scenarios.randomness import Streams
+
+PROBLEMS = 100
+FREE = 1e6
+"""A mu that is never active."""
+
+
+@cache
+def convex(form: str, n: int, nw: int, ny: int, mu: float = FREE) -> Any:
+    return BoundedProblem(n, nw, ny, mu) if form == "F1" else RecursiveProblem(n, nw, ny, form == "F2")
+
+
+def draw(random: np.random.Generator, size: tuple[int, int, int] | None = None) -> dict[str, Any]:
+    """A random problem with n = 2..4 states, 1..n sensors and one or two disturbance channels."""
+    n = int(random.integers(2, 5))
+    n, ny, nw = size or (n, int(random.integers(1, n + 1)), int(random.integers(1, 3)))
+    W = random.normal(size=(n, n))
+    return {"A": np.eye(n) + 0.2 * random.normal(size=(n, n)), "M": random.normal(size=n),
+            "N": 0.1 * random.choice([0.0, 0.1, 1.0, 5.0]) * random.normal(size=n),
+            "g": 0.3 * random.normal(size=(n, nw)), "C": random.normal(size=(ny, n)),
+            "v": random.uniform(0.3, 1.0, ny), "Pi": W @ W.T,
+            "received": np.ones(ny, bool)}
+
+
+def reference(form: str, p: dict[str, Any], mu: float = FREE) -> Solution:
+    problem = convex(form, len(p["A"]), p["g"].shape[1], len(p["C"]), mu)
+    if form == "F1":
+        return problem.solve(p["A"], p["M"], p["N"], p["g"], p["v"], p["C"], p["received"])
+    return problem.solve(p["Pi"], p["A"], p["M"], p["N"], p["g"], p["C"], np.diag(p["v"] ** 2), p["received"])
+
+
+def compiled(form: str, p: dict[str, Any], mu: float = FREE) -> tuple[np.ndarray, np.ndarray, float, int]:
+    """(K, P, objective, verdict)."""
+    n, ny = len(p["A"]), len(p["C"])
+    K, P = np.zeros((n, ny, 1)), np.zeros((n, n, 1))
+    stability, objective, verdict = np.zeros(1), np.zeros(1), np.zeros(1, dtype=np.int64)
+    A, g, C, Pi = (np.ascontiguousarray(p[name][:, :, None]) for name in ("A", "g", "C", "Pi"))
+    received = np.ascontiguousarray(p["received"][:, None])
+    moved, one = np.ones(1, bool), np.ones(1)
+    if form == "F1":
+        memoryless_step(moved, A, p["M"], p["N"], one, g, p["v"], C, received, mu, K, P, objective, stability, verdict)
+        return K[:, :, 0], P[:, :, 0], float(objective[0]), int(verdict[0])
+    recursive_step(Pi, moved, A, p["M"], p["N"], one, g, C, np.diag(p["v"] ** 2), received, form == "F2", K, P,
+                   stability, verdict)
+    return K[:, :, 0], P[:, :, 0], float(np.trace(P[:, :, 0])), int(verdict[0])
+
+
+@pytest.mark.parametrize("form", ["F1", "F2", "F3"])
+def test_objective_on_random_problems(form: str) -> None:
+    random = np.random.default_rng(11)
+    for _ in range(PROBLEMS):
+        problem = draw(random)
+        solution, (_, _, objective, verdict) = reference(form, problem), compiled(form, problem)
+        assert verdict == 0
+        assert objective == pytest.approx(solution.objective, rel=2e-5), solution.status
+
+
+@pytest.mark.parametrize("form", ["F1", "F2", "F3"])
+def test_objective_with_missing_measurements(form: str) -> None:
+    random = np.random.default_rng(12)
+    for received in ([True, False, True], [False, True, False], [False, False, False]):
+        problem = draw(random, (3, 3, 2)) | {"received": np.array(received)}
+        solution, (K, P, objective, _) = reference(form, problem), compiled(form, problem)
+        assert objective == pytest.approx(solution.objective, rel=2e-5)
+        assert (K[:, ~problem["received"]] == 0).all()
+        np.testing.assert_allclose(np.trace(P), np.trace(solution.P), rtol=2e-4)
+
+
+@pytest.mark.parametrize("form", ["F2", "F3"])
+def test_bound_holds_for_the_compiled_gain_against_sampled_disturbances(form: str) -> None:
+    random = np.random.default_rng(13)
+    for _ in range(20):
+        p = draw(random)
+        K, P, _, _ = compiled(form, p)
+        n, samples = len(P), 2000
+        E = np.linalg.cholesky(p["Pi"])
+        z = random.normal(size=(n, samples))
+        e = E @ (z / np.linalg.norm(z, axis=0))
+        w = random.choice([-1.0, 1.0], (p["g"].shape[1], samples))
+        Delta = random.choice([-1.0, 1.0], samples)
+        v = p["v"][:, None] * random.choice([-1.0, 1.0], (len(p["v"]), samples)) * (form == "F2")
+        after = (np.eye(n) - K @ p["C"]) @ (p["A"] @ e + np.outer(p["M"], Delta * (p["N"] @ e)) + p["g"] @ w) - K @ v
+        # F3: the disturbance's part of the error is inside what P leaves after the noise's second moment.
+        left = P if form == "F2" else P - K @ np.diag(p["v"] ** 2) @ K.T
+        values, vectors = np.linalg.eigh(left)
+        assert values.min() > -1e-9 * values.max()
+        keep = values > 1e-7 * values.max()
+        inside = ((vectors[:, keep].T @ after) ** 2 / values[keep, None]).sum(axis=0)
+        assert inside.max() <= 1 + 1e-6
+
+
+def test_f1_tells_where_its_stability_condition_is_active_or_hopeless() -> None:
+    random = np.random.default_rng(14)
+    seen = set()
+    for _ in range(30):
+        problem = draw(random, (2, 1, 1))
+        verdict = compiled("F1", problem, 0.999)[3]
+        free, bound = reference("F1", problem), reference("F1", problem, 0.999)
+        assert (verdict == 3) == bool(np.linalg.eigvalsh(free.P).max() >= 0.999)
+        if verdict == 0:
+            assert bound.objective == pytest.approx(free.objective, rel=1e-6)
+        seen.add((verdict, bound.status))
+    assert {(0, "optimal"), (3, "infeasible"), (3, "optimal")} <= seen
+
+
+@pytest.mark.parametrize("cls", [RobustBounded, RobustEllipsoid, RobustMeanSquare])
+def test_metro_trajectories(cls: Any) -> None:
+    """One run; every step's estimate and objective, both solvers fed the same measurements."""
+    setting = load("ningbo-metro").setting("switching")
+    streams = Streams(4, "ningbo-metro", "switching", [0])
+    world = setting.world(streams)
+    pair = []
+    for solver in ("fast", "cvxpy"):
+        estimator, model = prepare(setting, cls, {"solver": solver}, {}, world.initial_mean)
+        estimator.start(model, 1, streams("estimator", solver))
+        pair.append(estimator)
+    fast, slow = pair
+    for k in range(120):
+        step = world.step(k, world.initial_mean)
+        event = step.events[0]
+        received = np.array([[True], [k % 10 != 7]]) if cls is RobustMeanSquare else event.received
+        for estimator in pair:
+            estimator.predict(step.u, event.portion)
+            estimator.update(event.y, received)
+        a, b = fast.estimate(), slow.estimate()
+        np.testing.assert_allclose(a.mean, b.mean, atol=1e-5)
+        if a.ellipsoid is not None and b.ellipsoid is not None:
+            assert np.trace(a.ellipsoid[:, :, 0]) == pytest.approx(np.trace(b.ellipsoid[:, :, 0]), rel=2e-5)
+    assert fast.extremes()["contraction"] == pytest.approx(slow.extremes()["contraction"], abs=1e-4)
+    assert fast.status[0] == slow.status[0] == Status.ok
