@@ -149,6 +149,10 @@ class Braking(Setting[BrakingConfig]):
                 Quantity("speed", "m/s", ((1, 1.0),)), Quantity("control-acceleration", "m/s^2", ((2, 1.0),)),
                 Quantity("target-acceleration", "m/s^2", ((3, 1.0),)))
 
+    def table(self) -> tuple[tuple[str, str], ...]:
+        """Mean absolute errors, as the paper's tables; the error at the end of the run counts where a train stops."""
+        return (*(("mae", item.name) for item in self.quantities()), ("final", "displacement"), ("nees", "state"))
+
     def world(self, streams: Streams) -> Trajectory:
         """Truth (K, 5, S) = (D, v, a^, a_z, f) at k = 1..K, measurements and what arrives of them.
 
