@@ -40,6 +40,11 @@ class MovingBlock(Setting[MovingBlockConfig]):
         return (Quantity("x", "m", ((0, 1.0), (2, 1.0)), shown=shown),
                 Quantity("y", "m", ((1, 1.0), (3, 1.0)), shown=shown))
 
+    def table(self) -> tuple[tuple[str, str], ...]:
+        """RMSE of the map position, the gap and whether it was ever too small, the lap time."""
+        return (*(("rmse", item.name) for item in self.quantities()), ("mean", "gap"), ("min", "gap"),
+                ("violations", "gap"), ("mean", "lap"), ("nees", "state"))
+
     def world(self, streams: Streams) -> World:
         return TwoTrains(self.config, self.track, streams)
 
