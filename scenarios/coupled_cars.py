@@ -218,14 +218,16 @@ class CoupledCars(Setting[CoupledCarsConfig]):
                                     (slice(n, None), sensors.speed_weight, sensors.speed_noise)):
             y[:, rows] *= noise
             y[:, rows] += weight * truth[:, rows]
+        received = self._channel().draw(streams("channel"), steps, 2 * n)
         return Trajectory(
             truth=truth,
             u=np.repeat(force[:, :, None], runs, axis=2),
             y=y,
-            received=self._channel().draw(streams("channel"), steps, 2 * n),
+            received=received,
             active=np.ones((steps, runs), dtype=bool),
             portions=np.concatenate([[0.0], np.ones(steps - 1)]),
             initial_mean=truth[0].copy(),
+            extra={"received": received.any(axis=1).astype(float)},
         )
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
