@@ -44,9 +44,15 @@ class Scenario:
         return kind(kind.Config.model_validate(table))
 
     def content_hash(self, variant: str) -> str:
-        """Hash of the variant's resolved content (not of its name or the file's layout)."""
-        text = json.dumps(self.variants[variant], sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        """Hash of the variant's resolved content, files of the user's that it names included (not of its name or the
+        file's layout)."""
+        table = self.variants[variant]
+        found = hashlib.sha256(json.dumps(table, sort_keys=True, default=str).encode())
+        for key in setting_for(table["plant"]["kind"], self.where).user_files:
+            path = table["plant"].get(key)
+            if isinstance(path, str):
+                found.update(Path(path).read_bytes())
+        return found.hexdigest()[:16]
 
 
 def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:

@@ -104,6 +104,7 @@ class Metro(Setting[MetroConfig]):
     kind: ClassVar[str] = "metro"
     Config: ClassVar[type[ScenarioConfig]] = MetroConfig
     files: ClassVar[tuple[str, ...]] = ("ningbo-metro.toml",)
+    user_files: ClassVar[tuple[str, ...]] = ("line", "train")
 
     def quantities(self) -> tuple[Quantity, ...]:
         return Quantity("position", "m", ((0, 1.0),)), Quantity("speed", "m/s", ((1, 1.0),))
@@ -128,9 +129,6 @@ class Metro(Setting[MetroConfig]):
         """Names of the sections of a trip with stops on the way; none where there is only the one."""
         count = len(self.config.plant.line.stops) - 1
         return tuple(f"section-{i + 1:02d}" for i in range(count)) if count > 1 else ()
-
-    def table(self) -> tuple[tuple[str, str], ...]:
-        return *super().table(), *(("rmse", f"position-{name}") for name in self.sections)
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Of a trip with stops on the way: how far the train stayed under its speed limits, at the least."""

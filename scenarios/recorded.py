@@ -90,6 +90,7 @@ class Recorded(Setting[RecordedConfig]):
     kind: ClassVar[str] = "recorded"
     Config: ClassVar[type[ScenarioConfig]] = RecordedConfig
     files: ClassVar[tuple[str, ...]] = ("recorded.toml",)
+    user_files: ClassVar[tuple[str, ...]] = ("recording",)
     needs_file: ClassVar[str] = "plant.recording"
 
     @property

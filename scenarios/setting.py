@@ -44,11 +44,15 @@ class Setting(ABC, Generic[ConfigT]):
     """One plant kind, configured by one variant of a scenario file.
 
     kind: the value of `plant.kind` that selects it. Config: its schema. files: its scenario files, beside its module.
-    lower_is_better: False for outcomes such as trains per hour, by metric name."""
+    lower_is_better: False for outcomes such as trains per hour, by metric name. user_files: keys of [plant] that may
+    hold the path of a file of the user's, whose content then belongs to the scenario's. needs_file: the dotted key of
+    such a file without which nothing can run."""
 
     kind: ClassVar[str]
     Config: ClassVar[type[ScenarioConfig]]
     files: ClassVar[tuple[str, ...]] = ()
+    user_files: ClassVar[tuple[str, ...]] = ()
+    needs_file: ClassVar[str] = ""
 
     def __init__(self, config: ConfigT) -> None:
         self.config = config

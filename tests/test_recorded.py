@@ -256,6 +256,7 @@ def test_a_variant_without_any_recorded_sensor_says_so(recording):
         chosen.world(Streams(1, "recorded", "odometer", [0]))
 
 
-def test_an_outage_longer_than_the_trip_is_refused(recording):
-    with pytest.raises(InputError, match="do not fit into the recording"):
-        setting(recording, **{"sensors.outage.duration": 500.0})
+def test_variants_whose_outage_is_longer_than_the_trip_are_left_out(recording):
+    changes = {"plant.recording": recording, "plant.map": MAP, "sensors.outage.duration": 500.0}
+    with pytest.warns(UserWarning, match="do not fit into the recording"):
+        assert tuple(load("recorded", changes).variants) == ("as-recorded", "odometer")

@@ -95,7 +95,7 @@ def test_list_show_schema(railstate: Command) -> None:
     listed = railstate("list")
     assert listed.code == 0 and all(name in listed.out for name in scenario_files())
     shown = railstate("show", "ningbo-metro/white")
-    assert shown.code == 0 and "disturbance.kind" in shown.out and "ningbo-metro/white" in shown.out
+    assert shown.code == 0 and "disturbance.form" in shown.out and "ningbo-metro/white" in shown.out
     estimator = railstate("show", "ukf")
     assert estimator.code == 0 and "points" in estimator.out and "claims: mean, covariance" in estimator.out
     schema = json.loads(railstate("schema").out)
