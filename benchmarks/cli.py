@@ -13,6 +13,7 @@ from ..scenarios.errors import InputError
 from .batch import Interrupted
 from .commands.check import check
 from .commands.design import certify, design
+from .commands.new import app as new
 from .commands.replay import replay
 from .commands.report import plot, report
 from .commands.reproduce import reproduce
@@ -29,6 +30,7 @@ for function, name in (
         (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
         (check, "check"), (schema, "schema")):
     app.command(name)(function)
+app.add_typer(new, name="new")
 
 
 def main() -> None:

@@ -1,0 +1,67 @@
+"""`railstate new estimator|scenario NAME`: a package that works at once, from the templates beside the command line."""
+
+from __future__ import annotations
+
+import keyword
+import re
+import sys
+from importlib.metadata import packages_distributions
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from jinja2 import Environment, StrictUndefined
+
+from ...estimators.registry import estimators
+from ...scenarios.errors import InputError
+from ...scenarios.registry import scenario_files, settings
+
+app = typer.Typer(no_args_is_help=True, help="Write a package for an estimator or a scenario of your own.")
+Name = Annotated[str, typer.Argument(help="Small letters, digits and hyphens, such as my-filter.")]
+Under = Annotated[Path, typer.Option("--in", metavar="FOLDER", help="Where the package's folder is made.")]
+
+ESTIMATOR = {"pyproject": "pyproject.toml", "readme": "README.md", "module": "{module}/__init__.py",
+             "test": "tests/test_{module}.py"}
+SCENARIO = {**ESTIMATOR, "toml": "{module}/{name}.toml"}
+
+
+@app.command()
+def estimator(name: Name, folder: Under = Path()) -> None:
+    """A package with an estimator of twenty lines, its parameters, a test, a README and an entry point."""
+    made = _write("estimator", ESTIMATOR, name, set(estimators()), folder)
+    print(f"{made}: written; now\n  pip install -e {made}\n  railstate check {name}\n"
+          f"  railstate run rap-example-1 --estimators {name},kalman")
+
+
+@app.command()
+def scenario(name: Name, folder: Under = Path()) -> None:
+    """A package with a setting (simulation and design model), its TOML file, a test, a README and an entry point."""
+    made = _write("scenario", SCENARIO, name, {*settings(), *scenario_files()}, folder)
+    print(f"{made}: written; now\n  pip install -e {made}\n  railstate run {name}")
+
+
+def _write(kind: str, layout: dict[str, str], name: str, taken: set[str], under: Path) -> Path:
+    """Render a kind's templates into under/NAME. Raises InputError for a bad or taken name or an existing folder."""
+    module = name.replace("-", "_")
+    if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name) or keyword.iskeyword(module):
+        raise InputError(f"{name}: not a name for {kind}s; allowed: small letters, digits and hyphens, beginning with a "
+                         "letter, no word of Python, such as my-filter")
+    if name in taken:
+        raise InputError(f"{name}: there is such {'an' if kind == 'estimator' else 'a'} {kind} already; taken: "
+                         f"{', '.join(sorted(taken))}")
+    if module in sys.stdlib_module_names or module in packages_distributions():
+        raise InputError(f"{name}: the Python module {module} is installed already; choose another name")
+    if not under.is_dir():
+        raise InputError(f"--in {under}: no such folder")
+    folder = under / name
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; choose another name or another folder (--in FOLDER)")
+    environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
+    words = {"name": name, "module": module, "cls": "".join(part.capitalize() for part in name.split("-"))}
+    for template, place in layout.items():
+        text = (files("railstate.benchmarks.templates") / f"{kind}_{template}.jinja").read_text(encoding="utf-8")
+        path = folder / place.format(**words)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(environment.from_string(text).render(words), encoding="utf-8")
+    return folder
