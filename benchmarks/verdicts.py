@@ -24,6 +24,7 @@ from .wording import (
     percent,
     plus_minus,
     shown_unit,
+    some,
 )
 
 Array = NDArray[np.float64]
@@ -32,6 +33,9 @@ ERRORS = ("rmse", "mae", "sum-squared", "max", "final")
 """Metrics that are judged; the first a scenario's table shows of a quantity speaks for the quantity."""
 COMPLETE = 0.95
 """An estimator can be best only if it finished at least this share of the runs that the most reliable one did."""
+
+NEGLIGIBLE = 1e-9
+"""Errors under this (SI) are rounding: equal to each other, and no quantity to win by."""
 
 Column = tuple[str, str, str, str]
 """(column of the rows, metric, quantity, unit)."""
@@ -79,8 +83,10 @@ def by_run(rows: pd.DataFrame, column: str) -> dict[str, Array]:
 def judge(errors: Mapping[str, Array], metric: str, oracles: Collection[str] = ()) -> dict[str, Judged]:
     """Judge estimators (arrays over the same runs) against the best of them that is no oracle.
 
-    Best is the least shown value. Rivals are compared with it over the runs both finished; Holm corrects over the
-    rivals. A rival that does better over the paired runs although its shown value is larger ties."""
+    Best is the least shown value; errors under `NEGLIGIBLE` count as none. Rivals are compared with it over the runs
+    both finished; Holm corrects over the rivals. A rival that does better over the paired runs although its shown value
+    is larger ties."""
+    errors = {label: np.where(np.abs(array) < NEGLIGIBLE, 0.0, array) for label, array in errors.items()}
     interval = st.pooled_interval if metric == "rmse" else st.mean_interval
     values = {label: interval(array) for label, array in errors.items()}
     most = max((found.n for found in values.values()), default=0)
@@ -198,6 +204,8 @@ def short_verdicts(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> dict[tupl
 
 def _short(found: Mapping[str, Judged]) -> str:
     """One estimator's verdicts over the quantities: said once where they agree, as a range where all are worse."""
+    found = {quantity: each for quantity, each in found.items()
+             if not (each.against and np.isinf(each.against.relative)) and each.value.value != 0} or found
     pairs = [each.against for each in found.values() if each.verdict == "worse" and each.against]
     if len(pairs) == len(found) and pairs:
         return change_range(pairs)
@@ -294,6 +302,8 @@ def paragraph(rows: pd.DataFrame, manifest: Mapping[str, Any], scenario: str) ->
         judged = {quantity: (unit, metric, judge(by_run(part, column), metric, known))
                   for column, metric, quantity, unit in judged_columns(part, about)}
         for quantity, (_, _, found) in judged.items():
+            if any(j.verdict == "best" and j.value.value == 0 for j in found.values()):
+                continue
             tops.setdefault(quantity, []).append({j.estimator for j in found.values() if j.verdict in ("best", "tie")})
         if not total:
             sentences += _default_variant(variant, judged, about)
@@ -323,15 +333,15 @@ _BREACHES = {
 def _breach_words(kind: str, found: Mapping[str, list[Breach]], total: int) -> str:
     """`Too sure of its own errors: a and b in 5 of 8 variants (ANEES up to 10, 1 is right); c in ..`"""
     title, template = _BREACHES[kind]
-    alike: dict[tuple[int, str], list[str]] = {}
+    alike: dict[int, list[str]] = {}
     for label, items in sorted(found.items(), key=lambda item: -len(item[1])):
-        worst = max(breach.size for breach in items)
-        size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
-        alike.setdefault((len(items), size), []).append(label)
+        alike.setdefault(len(items), []).append(label)
     parts = []
-    for place, ((times, size), labels) in enumerate(alike.items()):
+    for place, (times, labels) in enumerate(alike.items()):
+        worst = max(breach.size for label in labels for breach in found[label])
+        size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
         where = "" if total == 1 else " in all variants" if times == total else f" in {times} of {total} variants"
-        parts.append(f"{listing(labels)}{where} ({template.format(size=size) if place == 0 else f'up to {size}'})")
+        parts.append(f"{some(labels)}{where} ({template.format(size=size) if place == 0 else f'up to {size}'})")
     return f"{title}: {'; '.join(parts)}."
 
 
@@ -341,7 +351,7 @@ def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str
     groups: dict[tuple[str, tuple[str, ...]], list[tuple[str, str, list[Judged]]]] = {}
     for quantity, (unit, metric, found) in judged.items():
         best = next((j for j in found.values() if j.verdict == "best"), None)
-        if best is None:
+        if best is None or best.value.value == 0:
             continue
         ties = tuple(j.estimator for j in found.values() if j.verdict == "tie")
         worse = sorted((j for j in found.values() if j.verdict == "worse" and j.against),
@@ -353,7 +363,7 @@ def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str
     for (best_label, ties), members in groups.items():
         text = f"{best_label} is best ({', '.join(value for _, value, _ in members)})"
         if ties:
-            text += f", {listing(ties)} {'tie' if len(ties) > 1 else 'ties'} with it"
+            text += f", {some(ties)} {'tie' if len(ties) > 1 else 'ties'} with it"
         text += _follower("; the next", [(quantity, worse[0]) for quantity, _, worse in members if worse])
         text += _follower(", the last", [(quantity, worse[-1]) for quantity, _, worse in members if len(worse) > 1])
         out.append(text)
@@ -387,6 +397,6 @@ def _over_variants(tops: Mapping[str, list[set[str]]]) -> list[str]:
             most = max(names.count(name) for name in names)
             leaders = tuple(sorted({name for name in names if names.count(name) == most}))
             answers.setdefault((leaders, most, len(lists)), []).append(quantity)
-    return [f"{listing(leaders)} {'are' if len(leaders) > 1 else 'is'} best or tied for {listing(quantities)} in "
+    return [f"{some(leaders)} {'are' if len(leaders) > 1 else 'is'} best or tied for {listing(quantities)} in "
             + (f"all {total} variants." if most == total else f"{most} of {total} variants, more often than any other.")
             for (leaders, most, total), quantities in answers.items()]

@@ -59,13 +59,15 @@ def change(found: Paired) -> str:
 
 
 def change_range(found: Sequence[Paired]) -> str:
-    """`change` of several comparisons: once where they look the same, else `+39 to +41 %`."""
-    ends = [_change(relative) for relative in (min(f.relative for f in found), max(f.relative for f in found))]
+    """`change` of several comparisons: once where they look the same, else `+39 to +41 %` or `2.8 to 75 times`."""
+    least, most = min(f.relative for f in found), max(f.relative for f in found)
+    if most >= 2 > least:
+        return f"{number(least + 1, 2)} to {_change(most)}"
+    ends = [_change(least), _change(most)]
     if ends[0] == ends[1]:
         return ends[0]
-    units = {" %", " times"}
-    common = next((unit for unit in units if all(end.endswith(unit) for end in ends)), "")
-    return f"{ends[0].removesuffix(common) if common else ends[0]} to {ends[1]}"
+    common = next((unit for unit in (" %", " times") if all(end.endswith(unit) for end in ends)), "")
+    return f"{ends[0].removesuffix(common)} to {ends[1]}"
 
 
 def change_interval(found: Paired) -> str:
@@ -99,6 +101,13 @@ def listing(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
 
 
+def some(names: Sequence[str], most: int = 4) -> str:
+    """`listing`, with `9 others` for what goes beyond `most` names."""
+    if len(names) <= most:
+        return listing(names)
+    return listing([*names[:most - 1], f"{len(names) - most + 1} others"])
+
+
 def counted(number_of: int, noun: str) -> str:
     """`1 run`, `2 runs`."""
     return f"{number_of} {noun}" + ("" if number_of == 1 else "s")
@@ -109,4 +118,4 @@ def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) 
     chosen = about.get("shown", {}).get(quantity)
     if chosen and metric in ("rmse", "mae", "max", "final", "mean", "half-width"):
         return str(chosen[0]), float(chosen[1])
-    return ("" if unit == "1" else unit), 1.0
+    return ("" if unit in ("1", "1^2") else unit), 1.0

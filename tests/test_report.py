@@ -149,6 +149,22 @@ def test_judging_needs_nearly_all_runs_to_be_best_and_calls_a_tie_a_tie() -> Non
     assert verdicts.judge({}, "rmse") == {}
 
 
+def test_errors_of_rounding_size_are_no_victory() -> None:
+    exact = {"a": np.zeros(30), "b": np.full(30, 4e-16), "c": np.linspace(1e-5, 2e-5, 30)}
+    found = verdicts.judge(exact, "rmse")
+    assert [found[label].verdict for label in "abc"] == ["best", "tie", "worse"]
+
+
+def test_ranges_of_changes_and_long_lists() -> None:
+    rng = np.random.default_rng(1)
+    base = rng.gamma(30, 1 / 30, 60)
+    pairs = [st.paired(base * factor, base) for factor in (1.39, 1.41, 3.0)]
+    assert wording.change_range(pairs[:2]) == "+39 to +41 %"
+    assert wording.change_range(pairs[:1]) == "+39 %"
+    assert wording.change_range(pairs) == "1.4 to 3.0 times"
+    assert wording.some(["a", "b", "c", "d", "e"]) == "a, b, c and 2 others"
+
+
 def test_runs_are_paired_by_their_number_whatever_is_missing() -> None:
     frame = pd.DataFrame({"estimator": ["a", "a", "a", "b", "b"], "run": [0, 1, 2, 0, 2],
                           "rmse:x:m": [1.0, 5.0, 3.0, 2.0, 4.0]})

@@ -136,7 +136,7 @@ class Panel:
             at = self._down(value)
             canvas.path([(left, at), (left + width, at)], stroke="grid", width=0.5)
             canvas.text(left - 3, at + 2.8, tick_text(value), anchor="end", colour="muted", size=FONT - 0.5)
-        for value in x.ticks(max(2, int(width // 34))):
+        for value in x.ticks(max(2, int(width // (16 if whole else 34)))):
             if whole and value != round(value):
                 continue
             at = self._across(value)

@@ -35,7 +35,8 @@ class Figure:
 
 FIGURES: tuple[Figure, ...] = (
     Figure("error-over-time", "Error over time",
-           "Root mean square error over all runs at each instant; the band is its 95 % interval.", error_over_time),
+           "Root mean square error over all runs at each instant; with up to eight estimators a band shows its 95 % "
+           "interval.", error_over_time),
     Figure("errors-per-run", "Error per run",
            "One value per run: box from the first to the third quartile, bar at the median, line from 5 % to 95 %, "
            "dots at the extremes.", errors_per_run),

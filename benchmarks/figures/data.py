@@ -148,25 +148,21 @@ def load_results(folder: str | Path) -> Results:
 def assign_styles(groups: Sequence[Sequence[str]]) -> dict[str, Style]:
     """One style per label for the whole run. groups: the labels that appear together.
 
-    Each label takes the colour used least among those it appears with, and the first dash and marker that make it
-    unique, so that up to eight estimators of a table differ in colour and the rest in dash and marker as well."""
-    styles: dict[str, Style] = {}
+    Each label takes the colour used least among those it appears with, and the first dash and marker that tell it from
+    them: up to eight estimators of a table differ in colour, more of them in dash and marker as well. Estimators that
+    never appear together may look alike."""
     companions: dict[str, set[str]] = {}
     for group in groups:
         for label in group:
             companions.setdefault(label, set()).update(group)
-    taken: set[tuple[str, int]] = set()
-    for label in companions:
-        near = [styles[other].colour for other in companions[label] if other in styles]
-        everywhere = [style.colour for style in styles.values()]
-        colours = sorted((f"c{i}" for i in range(COLOURS)),
-                         key=lambda c: (near.count(c), everywhere.count(c), c))
-        level = 0
-        while (colours[0], level) in taken:
-            level += 1
-        taken.add((colours[0], level))
-        styles[label] = Style(colours[0], DASHES[level % len(DASHES)], MARKERS[level % len(MARKERS)])
-    return styles
+    chosen: dict[str, tuple[int, int]] = {}
+    for label, others in companions.items():
+        near = [chosen[other] for other in others if other in chosen]
+        colour = min(range(COLOURS), key=lambda c: ([used for used, _ in near].count(c), c))
+        level = next(n for n in itertools.count() if (colour, n) not in near)
+        chosen[label] = colour, level
+    return {label: Style(f"c{colour}", DASHES[level % len(DASHES)], MARKERS[level % len(MARKERS)])
+            for label, (colour, level) in chosen.items()}
 
 
 def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], Curve]]:

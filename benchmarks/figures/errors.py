@@ -1,6 +1,7 @@
 """Figures of the errors themselves: over time with bands, and per run as boxes.
 
-Both draw the quantities a scenario judges, at most `MOST` of them (the table has all)."""
+Both draw the quantities a scenario judges, at most `MOST` of them (the table has all); where more than `CROWD`
+estimators share a figure, bands are left out."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas, text_width
 from .data import Array, Cell, Curve
 
-MOST = 3
+MOST, CROWD = 3, 8
 BINS = 130
 LEFT, RIGHT = 36.0, 6.0
 
@@ -40,7 +41,8 @@ def binned_rms(curve: Curve) -> tuple[Array, Array, Array, Array]:
 
 
 def error_over_time(cell: Cell) -> Canvas | None:
-    """Root mean square error over the runs at each instant, with its 95 % band, per estimator and quantity."""
+    """Root mean square error over the runs at each instant, per estimator and quantity; with 95 % bands for up to
+    `CROWD` estimators."""
     units = cell.quantity_units()
     names = [quantity for _, _, quantity, _ in cell.judged
              if quantity in units and any((label, quantity) in cell.curves for label in cell.labels)][:MOST]
@@ -61,7 +63,7 @@ def error_over_time(cell: Cell) -> Canvas | None:
         last = row == len(names) - 1
         panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x, y,
                       title=bracket(f"RMS error of {name}", unit), x_label="time [s]" if last else "", x_ticks=last)
-        for label, (time, _, low, high) in found.items():
+        for label, (time, _, low, high) in found.items() if len(found) <= CROWD else ():
             panel.band(time, low * factor, high * factor, cell.styles[label].colour)
         for label, (time, root, _, _) in found.items():
             panel.line(time, root * factor, cell.styles[label], title=label)
@@ -76,10 +78,10 @@ def label_room(labels: list[str]) -> float:
 
 def errors_per_run(cell: Cell) -> Canvas | None:
     """Each estimator's errors per run as a box (quartiles, median), whiskers (5 % to 95 %) and extremes (dots)."""
-    columns = cell.judged[:MOST]
+    labels = cell.labels
+    columns = cell.judged[:MOST if len(labels) <= CROWD else MOST - 1]
     if not columns:
         return None
-    labels = cell.labels
     left, step = label_room(labels), 11.0
     each = step * len(labels) + 4
     canvas = Canvas(len(columns) * (each + 40) + 2, f"Errors per run, {cell.key}")

@@ -34,13 +34,14 @@ def nees_over_time(cell: Cell) -> Canvas | None:
     limits = np.array([chi_square_interval(round(n), usual) for n in active])
     room = legend_height(labels, WIDTH - 8)
     canvas = Canvas(166 + room, f"NEES over time, {cell.key}")
-    y = spanning(*(np.maximum(line[1], 1e-6) for line in lines.values()), limits, log=True)
+    usually = [np.maximum(values, max(float(np.quantile(values, 0.05)), 1e-3)) for _, values, _ in lines.values()]
+    y = spanning(*usually, limits, log=True)
     panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
                   title=f"NEES / states, mean of {counted(int(active.max()), 'run')}", x_label="time [s]")
     panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.3)
     panel.level(1.0, colour="ink")
     for label, (at, value, _) in lines.items():
-        panel.line(at, np.maximum(value, 1e-6), cell.styles[label], width=0.8, title=label)
+        panel.line(at, value, cell.styles[label], width=0.8, title=label)
     legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
     return canvas
 

@@ -13,7 +13,7 @@ import pandas as pd
 from .. import statistics as st
 from ..figures.data import Cell
 from ..summary import metric_columns
-from ..verdicts import ERRORS, Judged, bound_check, column_values, nees_states
+from ..verdicts import Judged, bound_check, column_values, nees_states
 from ..wording import change_interval, counted, number, percent, plus_minus, rough
 
 
@@ -78,13 +78,12 @@ def table(cell: Cell) -> Table:
 
 def _outcomes(cell: Cell) -> list[tuple[str, str, str, str]]:
     """Columns of the scenario's table that are neither judged errors nor claims."""
-    judged = {(metric, quantity) for _, metric, quantity, _ in cell.judged}
+    judged = {column[1:3] for column in cell.judged}
     wanted = [tuple(pair) for pair in cell.about["table"]]
     found = {(metric, quantity): (column, metric, quantity, unit)
              for column, metric, quantity, unit in metric_columns(cell.rows)}
     return [found[pair] for pair in wanted if pair in found and pair not in judged and pair[0] not in
-            ("nees", "coverage", "half-width", "bound", "mean-square") and not (pair[0] in ERRORS and
-            any(pair[1] == quantity for _, quantity in judged) and pair[0] != "sum-squared")]
+            ("nees", "coverage", "half-width", "bound", "mean-square")]
 
 
 def _error(found: Judged, factor: float) -> Entry:
@@ -93,7 +92,8 @@ def _error(found: Judged, factor: float) -> Entry:
     text, value = plus_minus(found.value, factor), found.value.value * factor
     if found.against is None:
         return Entry(text, "best", value, "good")
-    versus = f"{change_interval(found.against)}, wins {percent(found.against.won)}"
+    versus = (f"{change_interval(found.against)}, wins {percent(found.against.won)}"
+              if np.isfinite(found.against.relative) else "the best has no error")
     words = {"tie": "tie", "worse": "worse", "oracle": "not ranked", "incomplete": "too few runs"}[found.verdict]
     return Entry(text, f"{words}: {versus}", value, {"tie": "good", "worse": "bad"}.get(found.verdict, ""))
 
