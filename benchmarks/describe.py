@@ -16,7 +16,8 @@ def description(plan: Plan) -> dict[str, Any]:
         config = setting.config
         about = scenarios.setdefault(cell.scenario, {
             "title": config.title, "source": config.source, "kind": setting.kind, "period": config.time.period,
-            "scored": config.score.at, "shown": {item.name: item.shown for item in setting.quantities() if item.shown},
+            "scored": config.score.at,
+            "shown": {**setting.shown, **{item.name: item.shown for item in setting.quantities() if item.shown}},
             "quantities": [item.name for item in setting.quantities()], "table": setting.table(), "variants": {}})
         about["variants"][cell.variant] = {"notes": config.notes, "fitted": config.fitted, "title": config.title,
                                            "period": config.time.period}

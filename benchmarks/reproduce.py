@@ -1,6 +1,7 @@
 """Published numbers beside ours, each with a verdict. The numbers are data: one TOML file a paper in `published/`.
 
-A verdict is computed, compared with the expected one, and never better than the evidence: `fitted` is not `reproduced`."""
+A verdict is computed, compared with the expected one, and never better than the evidence: `fitted` is not
+`reproduced`."""
 
 from __future__ import annotations
 

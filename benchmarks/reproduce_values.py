@@ -26,7 +26,8 @@ Key = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Computation:
-    """value(book, *arguments) -> (number, standard error); rows(*arguments) -> (scenario, variant, estimator) needed."""
+    """value(book, *arguments) -> (number, standard error); rows(*arguments) -> the (scenario, variant, estimator)
+    needed."""
 
     value: Callable[..., Value]
     rows: Callable[..., list[Key]] = lambda *arguments: []

@@ -74,7 +74,8 @@ def _parallel(tasks: list[Task], machinery: Machinery) -> Iterator[tuple[int, Re
             yield number, execute(task)
         return
     import joblib
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
+    from joblib.externals.loky import get_reusable_executor  # pyright: ignore[reportMissingImports]
+    from joblib.externals.loky.process_executor import TerminatedWorkerError  # pyright: ignore[reportMissingImports]
 
     with _backend(machinery) as options:
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs", **options)
@@ -83,7 +84,7 @@ def _parallel(tasks: list[Task], machinery: Machinery) -> Iterator[tuple[int, Re
             yield from results
         except (TerminatedWorkerError, BrokenProcessPool, TimeoutError, multiprocessing.TimeoutError) as error:
             if machinery.backend == "local":
-                joblib.externals.loky.get_reusable_executor().shutdown(wait=False, kill_workers=True)
+                get_reusable_executor().shutdown(wait=False, kill_workers=True)
             raise _Lost from error
 
 

@@ -52,7 +52,8 @@ def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> tuple[f
 
 
 def peer(loop: Callable[[], tuple[int, Array]], repeats: int) -> tuple[float, Array]:
-    """(ns per run-step, final means) of a peer's loop, which returns its number of run-steps; median after a warm-up."""
+    """(ns per run-step, final means) of a peer's loop, which returns its number of run-steps; median after a
+    warm-up."""
     seconds, last = [], np.empty(0)
     for repeat in range(repeats + 1):
         begun = perf_counter()

@@ -104,7 +104,7 @@ class _Loop:
         return filter.x
 
     def _ukf(self, run: int) -> Array:
-        p: Any = UnscentedKalman.Parameters()
+        p: Any = UnscentedKalman().parameters
         points = MerweScaledSigmaPoints(2, p.alpha, p.beta, p.kappa_for(2))
         dt = self.plain.period
         filter = self._set(UnscentedKalmanFilter(2, 2, dt, lambda x: x, self.plain.f, points), run)

@@ -145,7 +145,7 @@ class Store:
             if path.name not in rows:
                 continue
             try:
-                tables.append(pq.read_table(path, columns=columns, partitioning=None))
+                tables.append(pq.ParquetFile(path).read(columns))
             except (pa.ArrowInvalid, pa.ArrowKeyError, OSError) as error:
                 raise InputError(f"{path}: damaged ({str(error).splitlines()[0]}); remove it and run again: only its "
                                  "rows are computed anew") from None

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .statistics import mean_se, pooled_rmse
+from .wording import shown_unit
 
 COLUMNS = ("scenario", "variant", "estimator", "metric", "quantity", "unit", "mean", "standard_error", "runs")
 
@@ -44,15 +45,14 @@ def cell_tables(summary: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.D
     scenario's shown units, the short verdict from `notes`, latency and throughput."""
     for (scenario, variant), part in summary.groupby(["scenario", "variant"], sort=False):
         described = manifest["scenarios"][scenario]
-        shown = {name: tuple(value) for name, value in described["shown"].items()}
         lines: list[dict[str, str]] = []
         for estimator, mine in part.groupby("estimator", sort=False):
             line: dict[str, str] = {"estimator": str(estimator)}
             for metric, quantity, unit, mean, error in zip(
                     *(mine[name] for name in ("metric", "quantity", "unit", "mean", "standard_error")), strict=True):
                 if (metric, quantity) in _columns(described) or metric in _STATUS:
-                    name, factor = shown.get(quantity, (unit, 1.0)) if metric not in ("nees",) else (unit, 1.0)
-                    head = f"{metric} {quantity}" + ("" if name == "1" else f" [{name}]")
+                    name, factor = shown_unit(described, metric, quantity, unit)
+                    head = f"{metric} {quantity}" + (f" [{name}]" if name else "")
                     line[head] = _pair(mean * factor, error * factor)
             line["verdict"] = notes.get((str(scenario), str(variant), str(estimator)), "")
             if timing is not None:

@@ -1,6 +1,6 @@
 """The estimator interface: a design step, then start / predict / update / estimate over a batch of runs.
 
-Everything numerical carries the runs as its last axis. One instance serves one batch of runs, fed one step at a time."""
+Everything numerical carries the runs as its last axis. One instance serves one batch of runs, one step at a time."""
 
 from __future__ import annotations
 

@@ -30,6 +30,7 @@ class MovingBlock(Setting[MovingBlockConfig]):
     kind: ClassVar[str] = "moving-block"
     Config = MovingBlockConfig
     files: ClassVar[tuple[str, ...]] = ("moving-block.toml",)
+    shown: ClassVar[dict[str, tuple[str, float]]] = {"gap": ("cm", 100.0)}
 
     def __init__(self, config: MovingBlockConfig) -> None:
         super().__init__(config)

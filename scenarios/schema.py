@@ -1,4 +1,4 @@
-"""The scenario file's schema common to all settings; each setting refines `plant`, `disturbance`, `sensors`, `knowledge`.
+"""The scenario file's schema common to all settings, which refine `plant`, `disturbance`, `sensors`, `knowledge`.
 
 Unknown keys are refused everywhere, so that a typing error is an error."""
 

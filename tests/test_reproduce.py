@@ -1,4 +1,4 @@
-"""`railstate reproduce`: verdicts follow the evidence, the exit code follows the verdicts, the committed table is whole."""
+"""`railstate reproduce`: verdicts follow the evidence, the exit code the verdicts; the committed table is whole."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-
 from railstate.benchmarks import reproduce as engine
 from railstate.benchmarks.reproduce import Book, Published, judge, papers
 

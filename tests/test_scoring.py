@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from railstate.benchmarks.scoring import Scorer
 from railstate.benchmarks.scoring_kernels import lane_sum, quadratic_forms
 from railstate.estimators.interface import Estimate, Status
@@ -26,7 +25,7 @@ def random_case(runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     return truth, mean, covariance, active
 
 
-def scored(runs: slice, mean: np.ndarray, covariance: np.ndarray):  # noqa: ANN201
+def scored(runs: slice, mean: np.ndarray, covariance: np.ndarray):
     """What the scorer makes of some of 33 runs."""
     truth, _, _, active = random_case(33)
     scorer = Scorer(QUANTITIES, len(range(33)[runs]), STEPS, SKIP, {"speed": 50.0}, None)

@@ -53,8 +53,10 @@ def stored_plan(folder: str) -> Plan:
     """The plan a results folder was made from. Raises InputError."""
     manifest = Store(folder).manifest()
     configuration, saved = manifest["configuration"], manifest["replay"]
-    cells = tuple(
-        Cell(*key.split("/"), item["where"], item["table"],
-             {label: EstimatorEntry.model_validate(entry) for label, entry in item["entries"].items()})
-        for key, item in saved["cells"].items())
-    return Plan(cells, configuration["runs"], configuration["seed"], configuration["keep"], tuple(saved["plugins"]))
+    cells = []
+    for key, item in saved["cells"].items():
+        scenario, variant = key.split("/")
+        cells.append(Cell(scenario, variant, item["where"], item["table"], {
+            label: EstimatorEntry.model_validate(entry) for label, entry in item["entries"].items()}))
+    return Plan(tuple(cells), configuration["runs"], configuration["seed"], configuration["keep"],
+                tuple(saved["plugins"]))

@@ -61,7 +61,7 @@ def _files(line: str, train: str, recording: str, columns: str) -> dict[str, Any
                 raise InputError(f"--{key.split('.')[1]} {value}: no such file")
             changes[key] = str(Path(value).resolve())
     if columns:
-        pairs = dict(pair.partition("=")[::2] for pair in words(columns))
+        pairs = {role: name for role, _, name in (pair.partition("=") for pair in words(columns))}
         if not all(pairs.values()):
             raise InputError(f"--map {columns}: expected ROLE=COLUMN pairs, such as time=t_s,position=s_gnss_m")
         changes["plant.map"] = pairs
