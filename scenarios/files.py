@@ -8,6 +8,7 @@ import difflib
 import hashlib
 import json
 import tomllib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -79,7 +80,10 @@ def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
 
 
 def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """A scenario from its TOML table; `where` stands in the messages. Raises InputError with all mistakes."""
+    """A scenario from its TOML table; `where` stands in the messages. Raises InputError with all mistakes.
+
+    A variant that is sound by itself but cannot take the overrides (the number of contending trains, on a channel of
+    another kind) is left out with a warning, as long as another variant can."""
     if not table:
         raise InputError(f"{where}: the file is empty; a scenario needs name, title, [time], [plant], [estimators]")
     base = {key: value for key, value in table.items() if key != "variants"}
@@ -87,6 +91,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     if not isinstance(named, dict) or not named or not all(isinstance(value, dict) for value in named.values()):
         raise InputError(f"{where}: variants must be tables such as [variants.NAME]")
     mistakes: list[str] = []
+    unfit: list[tuple[str, list[str]]] = []
     variants: dict[str, dict[str, Any]] = {}
     for variant, changes in named.items():
         unknown = sorted(set(changes) - VARIANT_KEYS)
@@ -97,13 +102,22 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         if not changes and len(named) > 1 and variant != next(iter(named)):
             mistakes.append(f"variants.{variant}: changes nothing; allowed: at least one of "
                             f"{', '.join(sorted(VARIANT_KEYS))}")
-        merged = merge(base, changes)
+        plain = merged = merge(base, changes)
         for key, value in (overrides or {}).items():
             merged = set_dotted(merged, key, value)
         found = validate(merged, where)
+        if found and overrides and not validate(plain, where):
+            unfit.append((variant, found))
+            continue
         prefix = f"variants.{variant}: " if changes else ""
         mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
         variants[variant] = merged
+    for variant, found in unfit:
+        if variants:
+            warnings.warn(f"{where}: variant {variant} is left out: {'; '.join(found)}", stacklevel=2)
+        else:
+            prefix = f"variants.{variant}: " if named[variant] else ""
+            mistakes += [prefix + mistake for mistake in found]
     if mistakes:
         raise InputError("\n".join(f"{where}: {mistake}" for mistake in _without_repeats(mistakes)))
     return Scenario(base["name"], where, variants)
