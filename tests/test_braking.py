@@ -203,7 +203,7 @@ def test_printed_groups_change_the_gsma_only() -> None:
 
 @pytest.mark.parametrize(("key", "value", "words"), [
     ("knowledge.grid", [0.0, 0.2, 0.1], ("knowledge", "order")),
-    ("plant.rate_drift", -0.01, ("braking rate", "-0.5", "0 or above")),
+    ("plant.rate_drift", -0.05, ("braking rate", "-6.5", "0 or above")),
     ("plant.target", [[1.0, 0.0], [0.0, -1.0]], ("target", "order of time")),
     ("sensors.speed_variance", -1.0, ("sensors.speed_variance", "greater than 0")),
     ("plant.response_time", 0.0, ("plant.response_time", "greater than 0")),

@@ -15,7 +15,7 @@ from railstate.estimators.imm import InteractingMultipleModel, KnownParameterKal
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.reference.particle_loop import particle_loop
 from railstate.estimators.stochastic_m import GroupStochasticM, RaoBlackwellizedParticle, StochasticM
-from railstate.estimators.stochastic_m_select import heaviest, normalise, systematic
+from railstate.estimators.stochastic_m_select import exponentials, heaviest, normalise, systematic
 from railstate.scenarios.braking import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
@@ -353,6 +353,18 @@ def test_normalise_works_in_logarithms() -> None:
     np.testing.assert_allclose(w, [1 / (1 + np.exp(-1)), np.exp(-1) / (1 + np.exp(-1)), 0, 0], atol=1e-15)
     assert total == pytest.approx(-5000 + np.log1p(np.exp(-1)))
     assert np.isnan(normalise(np.full(3, -np.inf), 3, w)) and np.isnan(normalise(np.full(3, np.nan), 3, w))
+
+
+def test_exponentials_are_the_library_functions() -> None:
+    x = np.concatenate([-np.geomspace(1e-17, 707, 4000), [0.0, -708.5, -np.inf, np.nan]]) + 12.5
+    out = np.empty_like(x)
+    exponentials(x, len(x), 12.5, out)
+    np.testing.assert_allclose(out[:-3], np.exp(x[:-3] - 12.5), rtol=5e-16)
+    assert out[-3:].tolist() == [0.0, 0.0, 0.0]
+    alone = np.empty(1)
+    for i in range(0, 4000, 97):  # the same bits wherever an element stands
+        exponentials(x[i:], 1, 12.5, alone)
+        assert alone[0] == out[i]
 
 
 def test_systematic_resampling_copies_in_proportion() -> None:
