@@ -20,7 +20,7 @@ INDEFINITE = 1e-9
 @kernel
 def tile_width(n, runs):
     """How many runs to take at a time so that a few (n, n, width) arrays stay in the cache."""
-    return min(runs, max(32, 256 // max(n, 1)))
+    return min(runs, max(32, 512 // max(n, 1)))
 
 
 @kernel
