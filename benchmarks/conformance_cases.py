@@ -22,7 +22,7 @@ from ..scenarios.world import Step
 from .plan import find
 
 RUNS = (0, 1, 2, 3, 4)
-STEPS = 24
+STEPS = 16
 LOST = 0.2
 """Share of events and of elements that are taken away on top of what the scenario's channel loses."""
 
@@ -44,7 +44,7 @@ class Tape:
     def only(self, positions: list[int]) -> Tape:
         """The tape of some of its runs, in the order given."""
         def take(values: Any) -> Any:
-            return np.ascontiguousarray(values[..., positions])
+            return np.array(values[..., positions], order="C")
 
         return Tape(tuple(self.runs[p] for p in positions), take(self.initial_mean), take(self.u),
                     tuple(take(p) if isinstance(p, np.ndarray) else p for p in self.portions), take(self.y),

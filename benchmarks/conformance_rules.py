@@ -64,8 +64,8 @@ def _causality(trial: Trial) -> str | None:
     half = len(tape.portions) // 2
     end = slice(half, None)
     later = tape.copy()
-    for values, shift in ((later.u, 1.0), (later.y, 1.0), (later.truth, 1.0)):
-        values[end] = values[end][::-1] + shift
+    for values in (later.u, later.y, later.truth):
+        values[end] = -1.0 - values[end][::-1]
     later.received[end] = later.received[end][::-1]
     found = difference(trial.feed(later).first(half), trial.record.first(half), statuses=False)
     return f"with other measurements from event {half} on, {found}" if found else None

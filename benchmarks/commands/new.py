@@ -21,9 +21,9 @@ app = typer.Typer(no_args_is_help=True, help="Write a package for an estimator o
 Name = Annotated[str, typer.Argument(help="Small letters, digits and hyphens, such as my-filter.")]
 Under = Annotated[Path, typer.Option("--in", metavar="FOLDER", help="Where the package's folder is made.")]
 
-ESTIMATOR = {"pyproject": "pyproject.toml", "readme": "README.md", "module": "{module}/__init__.py",
+ESTIMATOR = {"pyproject": "pyproject.toml", "readme": "README.md", "module": "{module}.py",
              "test": "tests/test_{module}.py"}
-SCENARIO = {**ESTIMATOR, "toml": "{module}/{name}.toml"}
+SCENARIO = {**ESTIMATOR, "module": "{module}/__init__.py", "toml": "{module}/{name}.toml"}
 
 
 @app.command()
@@ -45,8 +45,8 @@ def _write(kind: str, layout: dict[str, str], name: str, taken: set[str], under:
     """Render a kind's templates into under/NAME. Raises InputError for a bad or taken name or an existing folder."""
     module = name.replace("-", "_")
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name) or keyword.iskeyword(module):
-        raise InputError(f"{name}: not a name for {kind}s; allowed: small letters, digits and hyphens, beginning with a "
-                         "letter, no word of Python, such as my-filter")
+        raise InputError(f"{name}: not a name for {kind}s; allowed: small letters, digits and hyphens, beginning "
+                         "with a letter, no word of Python, such as my-filter")
     if name in taken:
         raise InputError(f"{name}: there is such {'an' if kind == 'estimator' else 'a'} {kind} already; taken: "
                          f"{', '.join(sorted(taken))}")
