@@ -90,8 +90,11 @@ def print_results(store: Store) -> None:
     """The tables on standard output, failures with their replay lines, and the closing count."""
     rows, manifest = store.rows(), store.manifest()
     summary = summarise(rows)
+    told: set[str] = set()
     for key, frame in cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest)):
-        print_table(key, frame, notes_of(manifest, *key.split("/")))
+        notes = notes_of(manifest, *key.split("/"))
+        print_table(key, frame, [note for note in notes if note not in told])
+        told.update(notes)
     for line in headlines(rows, manifest):
         print(line)
     bad = rows[rows["status"] != "ok"]

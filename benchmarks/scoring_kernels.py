@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..estimators.kernels import factorise, forward, gather2, gather3, kernel, tile_width
+from ..estimators.kernels import factorise, forward, gather3, kernel, tile_width
 
 LANES = 8
 
@@ -32,17 +32,26 @@ def add_errors(vector, truth, live, index, weight, owner, share, limit, step):
 
     Components r: index, weight, owner (quantity), share of the quantity's mean, each (nr,); limit (nq,)."""
     step[:] = 0.0
+    runs = truth.shape[1]
+    error = np.empty(runs)
     for r in range(index.shape[0]):
-        i, w, q, f = index[r], weight[r], owner[r], share[r]
-        bound = limit[q]
-        for s in range(truth.shape[1]):
-            e = w * (vector[i, s] - truth[i, s])
-            a = abs(e)
-            live[s] = live[s] if a <= bound else 0.0
-            step[0, q, s] += f * e * e
-            step[1, q, s] += f * a
-            step[2, q, s] += f * e
-            step[3, q, s] = max(step[3, q, s], a)
+        w, f, bound = weight[r], share[r], limit[owner[r]]
+        a, b = vector[index[r]], truth[index[r]]
+        squared, absolute, signed, largest = step[0, owner[r]], step[1, owner[r]], step[2, owner[r]], step[3, owner[r]]
+        # a loop each: few arrays in a loop are what the compiler can prove apart, and so vectorise
+        for s in range(runs):
+            error[s] = w * (a[s] - b[s])
+        for s in range(runs):
+            live[s] = live[s] if abs(error[s]) <= bound else 0.0
+        for s in range(runs):
+            squared[s] += f * error[s] * error[s]
+        for s in range(runs):
+            absolute[s] += f * abs(error[s])
+        for s in range(runs):
+            signed[s] += f * error[s]
+        for s in range(runs):
+            size = abs(error[s])
+            largest[s] = size if size > largest[s] else largest[s]
 
 
 @kernel
@@ -66,11 +75,14 @@ def add_partial(vector, truth, live, scored, index, weight, owner, share, step, 
 def accumulate(step, live, totals):
     """totals (3, nq, S) of squared, absolute and largest error take up the step's, where live."""
     for q in range(step.shape[1]):
+        for part in range(2):
+            total, value = totals[part, q], step[part, q]
+            for s in range(live.shape[0]):
+                total[s] += value[s] if live[s] > 0.0 else 0.0
+        total, value = totals[2, q], step[3, q]
         for s in range(live.shape[0]):
-            on = live[s] > 0.0
-            totals[0, q, s] += step[0, q, s] if on else 0.0
-            totals[1, q, s] += step[1, q, s] if on else 0.0
-            totals[2, q, s] = max(totals[2, q, s], step[3, q, s] if on else 0.0)
+            size = value[s] if live[s] > 0.0 else 0.0
+            total[s] = size if size > total[s] else total[s]
 
 
 @kernel
@@ -101,37 +113,39 @@ def quadratic_forms(vector, truth, matrix, out, lost):
     vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where M is indefinite or not finite."""
     n, runs = matrix.shape[0], truth.shape[1]
     shared = matrix.shape[2] == 1
-    width = tile_width(n, runs)
+    width = runs if n * n * runs <= 8192 else tile_width(n, runs)
     tile, factor = np.empty((n, n, width)), np.empty((n, n, width))
     inverse, error = np.empty((n, width)), np.empty((n, 1, width))
-    mine, theirs = np.empty((n, width)), np.empty((n, width))
     failed = np.zeros(width, dtype=np.bool_)
     for first in range(0, runs, width):
         count = min(width, runs - first)
-        index = np.arange(first, first + count)
         if not shared:
             failed[:] = False
-            gather3(matrix, index, count, tile)
-            factorise(tile, factor, inverse, failed, False, count)
+            if width == runs:
+                factorise(matrix, factor, inverse, failed, False, count)
+            else:
+                gather3(matrix, np.arange(first, first + count), count, tile)
+                factorise(tile, factor, inverse, failed, False, count)
         elif first == 0:
             factorise(matrix, factor, inverse, failed, False, 1)
             for s in range(1, width):
                 failed[s] = failed[0]
                 inverse[:, s] = inverse[:, 0]
                 factor[:, :, s] = factor[:, :, 0]
-        gather2(vector[:n], index, count, mine)
-        gather2(truth[:n], index, count, theirs)
         for i in range(n):
+            mine, theirs, row = vector[i, first:first + count], truth[i, first:first + count], error[i, 0]
             for s in range(count):
-                error[i, 0, s] = mine[i, s] - theirs[i, s]
+                row[s] = mine[s] - theirs[s]
         forward(factor, inverse, error, count)
+        total = out[first:first + count]
         for s in range(count):
-            out[first + s] = 0.0
+            total[s] = 0.0
             lost[first + s] = failed[s]
         for i in range(n):
+            row, scale = error[i, 0], inverse[i]
             for s in range(count):
-                value = out[first + s] + error[i, 0, s] * error[i, 0, s]
-                out[first + s] = value if inverse[i, s] > 0.0 else np.nan
+                value = total[s] + row[s] * row[s]
+                total[s] = value if scale[s] > 0.0 else np.nan
 
 
 @kernel

@@ -116,6 +116,6 @@ def counted(number_of: int, noun: str) -> str:
 def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) -> tuple[str, float]:
     """(unit, factor) a value is shown in: the scenario's choice for plain errors of the quantity, else as it is."""
     chosen = about.get("shown", {}).get(quantity)
-    if chosen and metric in ("rmse", "mae", "max", "final", "mean", "half-width"):
+    if chosen and metric in ("rmse", "mae", "max", "min", "final", "mean", "half-width"):
         return str(chosen[0]), float(chosen[1])
     return ("" if unit in ("1", "1^2") else unit), 1.0
