@@ -36,7 +36,7 @@ class Plant(Strict):
 
     kind: Literal["recorded"]
     recording: str | None = None
-    map: dict[str, str] = {}  # noqa: RUF012 - pydantic copies it
+    map: dict[str, str] = {}
 
     @model_validator(mode="after")
     def _readable(self) -> Plant:
