@@ -12,6 +12,7 @@ import typer
 from ..scenarios.errors import InputError
 from .batch import Interrupted
 from .commands.check import check
+from .commands.compare import compare
 from .commands.design import certify, design
 from .commands.new import app as new
 from .commands.replay import replay
@@ -28,7 +29,7 @@ app = typer.Typer(
 for function, name in (
         (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (design, "design"),
         (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
-        (check, "check"), (schema, "schema")):
+        (check, "check"), (compare, "compare"), (schema, "schema")):
     app.command(name)(function)
 app.add_typer(new, name="new")
 

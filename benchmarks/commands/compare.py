@@ -1,0 +1,159 @@
+"""`railstate compare A B`: two estimators over the same runs, or two results folders ("what changed since")."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pandas as pd
+import typer
+
+from ...estimators.registry import estimators, load_file
+from ...scenarios.errors import InputError, Unsupported
+from ...scenarios.randomness import Streams
+from ...scenarios.registry import scenario_files
+from ..batch import complete, default_folder, read_timing
+from ..comparison import FINISHED, Changes, Contest, between_estimators, between_folders, speed_ratio, words
+from ..console import print_table
+from ..plan import find, make_plan
+from ..runner import Machinery
+from ..store import Store
+from ..wording import counted, number, percent, rough
+from . import options
+
+
+def compare(
+    a: Annotated[str, typer.Argument(metavar="A", help="An estimator (label or plug-in name), or a results folder.")],
+    b: Annotated[str, typer.Argument(metavar="B", help="What is compared with A: of the same kind.")],
+    scenario: Annotated[list[str] | None, typer.Option(
+        help="Scenario, NAME/VARIANT or TOML file; may be repeated. None: the first variant of those listing both.")
+    ] = None,
+    runs: options.Runs = 100,
+    seed: options.Seed = 1,
+    jobs: options.Jobs = 0,
+    set_: options.Sets = [],  # noqa: B006
+    plugin: options.Plugins = [],  # noqa: B006
+    out: Annotated[str, typer.Option(help="Results folder of the runs; a finished one is not computed again.")] = "",
+    fail_on: Annotated[Literal["none", "worse", "different"], typer.Option(
+        help="Exit code 1 where B is significantly worse anywhere; or, for folders, where any row differs.")] = "none",
+) -> None:
+    """Compare B with A, paired over the same runs: differences, intervals, Wilcoxon with Holm, runs won, speed."""
+    folders = [Path(name, "manifest.json").is_file() for name in (a, b)]
+    if any(folders):
+        if not all(folders):
+            wrong = b if folders[0] else a
+            raise InputError(f"{wrong}: not a results folder (no manifest.json), and the other one is: compare two "
+                             "folders, or two estimators")
+        first, second = Store(a), Store(b)
+        changes = between_folders(first, second)
+        _print_rows(changes, a, b)
+        contests, speed = changes.contests, speed_ratio(read_timing(first), read_timing(second))
+        _print_contests(contests, a, b, speed)
+        different = not changes.identical
+    else:
+        if a == b:
+            raise InputError(f"{a}: an estimator cannot be compared with itself; name two")
+        if fail_on == "different":
+            raise InputError("--fail-on different: is for two results folders; two estimators always differ")
+        different = False
+        store = _run(a, b, scenario or [], runs, seed, jobs, set_, plugin, out)
+        contests = between_estimators(store.rows(), store.manifest(), a, b)
+        timing = read_timing(store)
+        speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")
+                                                        for name in (a, b)))
+        _print_contests(contests, a, b, speed)
+        if not contests:
+            raise InputError(f"{a} and {b} finished no two runs in common; `railstate replay` in {store.folder} shows "
+                             "why")
+    worse = [contest for contest in contests if contest.verdict == "worse"]
+    if (fail_on == "worse" and worse) or (fail_on == "different" and different):
+        raise typer.Exit(1)
+
+
+def _run(a: str, b: str, names: list[str], runs: int, seed: int, jobs: int, sets: list[str], plugins: list[str],
+         out: str) -> Store:
+    """The runs of both, from the folder where they are finished already."""
+    changes = options.overrides(sets)
+    for path in plugins:
+        load_file(path)
+    plan = make_plan(names or _fitting(a, b, seed), only=[a, b], runs=runs, seed=seed, keep=0, overrides=changes,
+                     plugins=plugins)
+    for cell in plan.cells:
+        missing = [name for name in (a, b) if name not in cell.entries]
+        if missing:
+            raise InputError(f"{cell.key} has no {' and no '.join(missing)}; it has {', '.join(cell.entries)}")
+    command = shlex.join(["railstate", *sys.argv[1:]])
+    return complete(plan, Path(out) if out else default_folder(plan), Machinery(jobs or os.cpu_count() or 1), command)
+
+
+def _fitting(a: str, b: str, seed: int) -> list[str]:
+    """NAME/VARIANT of the built-in scenarios whose first variant lists both; else of the first that both can work with.
+    Raises InputError."""
+    listed, possible = [], []
+    for name in scenario_files():
+        scenario = find(name)[0]
+        setting = scenario.setting(scenario.default)
+        entries = setting.config.estimators
+        if getattr(setting, "needs_file", ""):
+            continue
+        if a in entries and b in entries:
+            listed.append(f"{name}/{scenario.default}")
+        elif all(label in entries or label in estimators() for label in (a, b)):
+            possible.append((f"{name}/{scenario.default}", setting))
+    for name, setting in [] if listed else possible:
+        try:
+            model = setting.design_model({}, setting.world(Streams(seed, name, "", (0,))).initial_mean)
+            for label in (a, b):
+                entry = setting.config.estimators.get(label)
+                estimators()[entry.plugin if entry else label].require(model)
+        except Unsupported:
+            continue
+        return [name]
+    if not listed:
+        raise InputError(f"no built-in scenario knows both {a} and {b}; name one with --scenario. Installed "
+                         f"estimators: {', '.join(estimators())}")
+    return listed
+
+
+def _print_rows(changes: Changes, a: str, b: str) -> None:
+    for note in changes.notes:
+        print(note)
+    print_table(f"rows of {a} and {b}", pd.DataFrame([
+        {"cell": item.cell, "estimator": item.label, "in both": item.common, "bit-identical": item.identical,
+         "differ": item.common - item.identical, "only in A": item.only_a, "only in B": item.only_b}
+        for item in changes.alike]))
+    common, same = sum(item.common for item in changes.alike), sum(item.identical for item in changes.alike)
+    only = [sum(getattr(item, side) for item in changes.alike) for side in ("only_a", "only_b")]
+    print(f"{same} of {counted(common, 'common row')} bit-identical"
+          + (f"; {only[0]} only in {a}, {only[1]} only in {b}" if any(only) else ""))
+
+
+def _print_contests(contests: list[Contest], a: str, b: str, speed: dict[tuple[str, str], float]) -> None:
+    if contests:
+        print_table(f"{b} (B) against {a} (A), paired", pd.DataFrame([_line(contest) for contest in contests]))
+    for contest in contests:
+        print(words(contest, a, b))
+    for (cell, label), ratio in speed.items():
+        if any(contest.cell == cell and contest.label == label for contest in contests):
+            faster = f"{rough(ratio)} times slower" if ratio >= 1 else f"{rough(1 / ratio)} times faster"
+            print(f"{cell}{'/' + label if label else ''}: {b} is {faster} than {a} (time per run and step)")
+    if contests:
+        counts = [f"{word} in {sum(contest.verdict == word for contest in contests)}"
+                  for word in ("better", "worse", "tie")]
+        print(f"{b} against {a}: {', '.join(counts)} of {counted(len(contests), 'comparison')} (Holm-corrected)")
+
+
+def _line(contest: Contest) -> dict[str, str]:
+    found, factor = contest.found, contest.factor
+    unit = f" [{contest.unit}]" if contest.unit else ""
+    lost = contest.metric == FINISHED
+    return {
+        "cell": contest.cell, **({"estimator": contest.label} if contest.label else {}),
+        "what": "runs lost" if lost else f"{contest.metric} {contest.quantity}{unit}",
+        "A": number(contest.a * factor), "B": number(contest.b * factor), "B - A": number(found.difference * factor),
+        "95 % interval": f"{number(found.low * factor)} .. {number(found.high * factor)}",
+        "p (Holm)": number(contest.p, 2), "B lower in": percent(found.won), "runs": str(found.n),
+        "B is": contest.verdict}
