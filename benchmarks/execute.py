@@ -204,6 +204,8 @@ def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> pa
     steps = np.flatnonzero(curves["active"] > 0)
     tables = []
     for q, item in enumerate(setting.quantities()):
+        if np.isnan(curves["squared"][steps, q]).all():
+            continue  # a parameter that is not estimated
         tables.append((item.name, curves["active"][steps], curves["squared"][steps, q], curves["fourth"][steps, q],
                        curves["error"][steps, q]))
     if curves["nees-count"].any():
@@ -246,6 +248,8 @@ class _Keeper:
         nan = np.full(len(take), np.nan)
         row: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         for item in self.setting.quantities():
+            if any(i >= len(mean) for i, _ in item.components):
+                continue  # a parameter that is not estimated
             if len(item.components) == 1:
                 i, weight = item.components[0]
                 sd = nan

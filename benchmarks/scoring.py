@@ -54,6 +54,7 @@ class Scorer:
         self.curves = {"active": np.zeros(steps), "nees": np.zeros(steps), "nees-count": np.zeros(steps),
                        "squared": np.zeros((steps, n)), "fourth": np.zeros((steps, n)), "error": np.zeros((steps, n))}
         self.claimed: set[str] = set()
+        self.estimated = max((part[0] for part in parts), default=-1) + 1
         self.nees_states = 0
 
     def add(self, k: int, estimate: Estimate, step: Step) -> None:
@@ -63,6 +64,9 @@ class Scorer:
         mean = np.ascontiguousarray(estimate.mean)
         vector = mean if estimate.parameter is None else np.concatenate([mean, estimate.parameter])
         truth, curves = np.ascontiguousarray(step.truth), self.curves
+        self.estimated = len(vector)
+        if len(vector) < len(truth):  # a parameter that is not estimated: no error here, no metric in `finish`
+            vector = np.concatenate([vector, truth[len(vector):]])
         counted = step.active & self.good
         live = counted.astype(float)
         add_errors(vector, truth, live, self.index, self.weight, self.owner, self.share, self.limit, self.step)
@@ -117,6 +121,10 @@ class Scorer:
         steps = np.where(self.steps > 0, self.steps, np.nan)
         metrics: dict[tuple[str, str], Array] = {}
         for q, item in enumerate(self.quantities):
+            if any(i >= self.estimated for i, _ in item.components):
+                for name in ("squared", "fourth", "error"):
+                    self.curves[name][:, q] = np.nan
+                continue
             counted = steps - self.left_out[q] if item.mean else steps
             metrics["rmse", item.name] = np.sqrt(self.totals[0, q] / counted)
             metrics["mae", item.name] = self.totals[1, q] / counted

@@ -185,3 +185,16 @@ def test_sweep_writes_rows_table_and_plots(railstate: Command) -> None:
     assert part.loc[0.3, "mean"] > part.loc[0.9, "mean"]
     assert (railstate.folder / "swept" / "rmse-position.svg").stat().st_size > 1000
     assert "rmse position" in done.out
+
+
+def test_a_parameter_that_is_not_estimated_has_no_numbers(railstate: Command) -> None:
+    done = railstate("run", "braking-rate/paper", "--estimators", "kalman,kalman-known-f", "--runs", 3, "--out", "out")
+    assert done.code == 0, done.err
+    frame = Store("out").rows().set_index("estimator")
+    assert set(frame["status"]) == {"ok"}
+    assert frame.loc["kalman", "rmse:f:1"].isna().all() and (frame.loc["kalman-known-f", "rmse:f:1"] == 0).all()
+    assert (frame.loc["kalman", "rmse:speed:m/s"] > 0).all()
+    curves = Store("out").curves()
+    assert set(curves.query("quantity == 'f'")["estimator"]) == {"kalman-known-f"}
+    kept = Store("out").trajectories()
+    assert kept is not None and set(kept.query("name == 'f'")["estimator"]) == {"kalman-known-f"}
