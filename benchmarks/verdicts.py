@@ -340,7 +340,7 @@ def _breach_words(kind: str, found: Mapping[str, list[Breach]], total: int) -> s
     for place, (times, labels) in enumerate(alike.items()):
         worst = max(breach.size for label in labels for breach in found[label])
         size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
-        where = "" if total == 1 else " in all variants" if times == total else f" in {times} of {total} variants"
+        where = f" in {_share(times, total)}" if total > 1 else ""
         parts.append(f"{some(labels)}{where} ({template.format(size=size) if place == 0 else f'up to {size}'})")
     return f"{title}: {'; '.join(parts)}."
 
@@ -384,6 +384,12 @@ def _follower(opening: str, found: list[tuple[str, Judged]]) -> str:
     return f"{opening}, {first}{f' ({aside})' if aside else ''}, has {_times(change_range(pairs))} error"
 
 
+def _share(times: int, total: int) -> str:
+    if times < total:
+        return f"{times} of {total} variants"
+    return "both variants" if total == 2 else f"all {total} variants"
+
+
 def _times(words: str) -> str:
     return f"{words} the" if words.endswith("times") else words.replace("+", "") + " more"
 
@@ -398,5 +404,5 @@ def _over_variants(tops: Mapping[str, list[set[str]]]) -> list[str]:
             leaders = tuple(sorted({name for name in names if names.count(name) == most}))
             answers.setdefault((leaders, most, len(lists)), []).append(quantity)
     return [f"{some(leaders)} {'are' if len(leaders) > 1 else 'is'} best or tied for {listing(quantities)} in "
-            + (f"all {total} variants." if most == total else f"{most} of {total} variants, more often than any other.")
+            + _share(most, total) + ("." if most == total else ", more often than any other.")
             for (leaders, most, total), quantities in answers.items()]

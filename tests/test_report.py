@@ -90,6 +90,20 @@ def test_shown_units_latency_and_oracles(results: Results) -> None:
     assert latency.detail == "fits 0.2 s with a factor 3500"
 
 
+def test_outcomes_have_intervals_and_shares_are_counted(results: Results) -> None:
+    cell = results.scenarios["cbtc-csma"][0]
+    values = cell.rows.loc[cell.rows["estimator"] == "kalman", "headway:headway-65:s"]
+    found = entry(results, "cbtc-csma", "uniform", "kalman", "headway-65")
+    mean, half = (float(v) for v in found.text.split(" ± "))
+    assert mean == pytest.approx(values.mean(), abs=0.005)
+    assert half == pytest.approx(stats.t.ppf(0.975, RUNS - 1) * stats.sem(values), rel=0.05)
+    shares = entry(results, "cbtc-csma", "uniform", "kalman", "late")
+    assert shares.text == "6 of 24"
+    assert shares.sort == 0.25
+    low, high = stats.binomtest(6, RUNS).proportion_ci(0.95, method="wilson")
+    assert shares.detail == f"{wording.percent(low)} to {wording.percent(high)}"
+
+
 def test_failures_carry_the_line_that_replays_them(results: Results) -> None:
     uniform, table3 = results.scenarios["cbtc-csma"]
     assert [f.replay for f in failures(uniform, "out")] == ["railstate replay cbtc-csma/uniform/direct/3 --out out"]
@@ -127,11 +141,11 @@ def test_paragraphs_in_plain_words(results: Results) -> None:
     assert metro.startswith("Variant switching: ekf is best (position 0.")
     assert "ukf ties with it; the next, ekf-inflated, has " in metro
     assert "ekf and ukf are best or tied for position and speed in 2 of 3 variants" in metro
-    assert "Too sure of its own errors: ekf-naive in all variants (ANEES up to 9." in metro
-    assert "leaves it: robust-ellipsoid in all variants (in up to 4.2 % of the runs)" in metro
+    assert "Too sure of its own errors: ekf-naive in all 3 variants (ANEES up to 9." in metro
+    assert "leaves it: robust-ellipsoid in all 3 variants (in up to 4.2 % of the runs)" in metro
     cbtc = " ".join(verdicts.paragraph(results.rows, results.manifest, "cbtc-csma"))
     assert "Exceeds its certified bound: fastest-decay in 1 of 2 variants (by up to 1.5 times)" in cbtc
-    assert "Has runs that diverged, failed or could not be designed: direct in all variants" in cbtc
+    assert "Has runs that diverged, failed or could not be designed: direct in both variants" in cbtc
     braking = " ".join(verdicts.paragraph(results.rows, results.manifest, "braking-rate"))
     assert "kalman-known-f: not ranked" in braking
     assert "Nobody broke a promise" in braking

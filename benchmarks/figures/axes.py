@@ -142,7 +142,9 @@ class Panel:
             at = self._across(value)
             canvas.path([(at, top), (at, bottom)], stroke="grid", width=0.5)
             if x_ticks:
-                canvas.text(at, bottom + 9, tick_text(value), anchor="middle", colour="muted", size=FONT - 0.5)
+                text = tick_text(value)
+                at = min(at, canvas.width - text_width(text) / 2)
+                canvas.text(at, bottom + 9, text, anchor="middle", colour="muted", size=FONT - 0.5)
         canvas.path([(left, bottom), (left + width, bottom)], stroke="muted", width=0.6)
         canvas.path([(left, top), (left, bottom)], stroke="muted", width=0.6)
         if x_label:

@@ -99,9 +99,15 @@ def _error(found: Judged, factor: float) -> Entry:
 
 
 def _outcome(part: pd.DataFrame, column: str, factor: float) -> Entry:
-    found = st.mean_interval(part[column].to_numpy(dtype=float))
-    if not found.n:
+    """Mean with its interval; what is 0 or 1 per run is counted instead, with Wilson's interval of the share."""
+    values = column_values(part, column)
+    if not values.size:
         return Entry("no value", kind="none")
+    if column.endswith(":1") and np.isin(values, (0.0, 1.0)).all():
+        share = st.wilson(int(values.sum()), values.size)
+        return Entry(f"{int(values.sum())} of {values.size}", f"{percent(share.low)} to {percent(share.high)}",
+                     share.value)
+    found = st.mean_interval(values)
     return Entry(plus_minus(found, factor), "", found.value * factor)
 
 
