@@ -25,8 +25,9 @@ def console() -> Console:
 def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = (), to: Console | None = None) -> None:
     """Print a table; text columns to the left, numbers to the right."""
     out = to or console()
-    table = Table(title=escape(title) or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
-                  pad_edge=False)
+    if title:
+        out.print(title, style="bold", highlight=False, markup=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in frame.columns:
         values = [str(value) for value in frame[column]]
         numeric = all(value[:1] in "0123456789-+." or not value for value in values)

@@ -4,6 +4,7 @@ Everything here is plain data that pickles, so that a task can go to another pro
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -67,8 +68,9 @@ class Plan:
             "keep": self.keep,
             "cells": {
                 cell.key: {
-                    "scenario": Scenario(cell.scenario, cell.where, {cell.variant: dict(cell.table)})
+                    "scenario": Scenario(cell.scenario, cell.where, {cell.variant: dict(cell.table)}, cell.variant)
                     .content_hash(cell.variant),
+                    "setting": source_hash(settings()[cell.table["plant"]["kind"]]),
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
                                 "source": source_hash(estimators()[entry.plugin])}
@@ -106,14 +108,33 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
 
 
 def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, tuple[str, ...]]:
-    """A scenario and the variants meant: NAME or a path (all variants), NAME/VARIANT or PATH.toml/VARIANT (one)."""
+    """A scenario and the variants meant: NAME or a path (all variants), NAME/VARIANT or PATH.toml/VARIANT (one).
+
+    Of all variants those that cannot take the overrides are left out with a warning."""
+    scenario, variant = _named(name, overrides)
+    if variant:
+        return scenario, (variant,)
+    for left, why in scenario.unfit.items():
+        warnings.warn(f"{scenario.where}: variant {left} is left out: {'; '.join(why)}", stacklevel=2)
+    return scenario, tuple(scenario.variants)
+
+
+def find_one(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
+    """A scenario and one variant: the one named, else the default one. Raises InputError if it is unfit."""
+    scenario, variant = _named(name, overrides)
+    variant = variant or scenario.default
+    scenario.setting(variant)
+    return scenario, variant
+
+
+def _named(name: str, overrides: Mapping[str, Any] | None) -> tuple[Scenario, str]:
+    """The scenario and the variant that a word of the command line names ("": none)."""
     base, _, variant = name.rpartition("/")
     if base and (base in scenario_files() or base.endswith(".toml")):
         scenario = load(base, overrides)
         scenario.setting(variant)
-        return scenario, (variant,)
-    scenario = load(name, overrides)
-    return scenario, tuple(scenario.variants)
+        return scenario, variant
+    return load(name, overrides), ""
 
 
 def _self_contained() -> list[str]:

@@ -69,11 +69,18 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
     return found
 
 
+@cache
 def source_hash(cls: type[Any]) -> str:
-    """Hash of the source of the modules an estimator class is made of (its own and its bases')."""
-    digest = hashlib.sha256()
-    for base in cls.__mro__[:-1]:
+    """Hash of the source a class is made of: its own and its bases' modules, and for modules of railstate the whole
+    folder they lie in (kernels and plants included)."""
+    files: set[Path] = set()
+    for base in cls.__mro__:
         file = getattr(sys.modules.get(base.__module__), "__file__", None)
-        if file:
-            digest.update(Path(file).read_bytes())
+        if file and base.__module__.startswith("railstate."):
+            files.update(Path(file).parent.glob("*.py"))
+        elif file and base is not object:
+            files.add(Path(file))
+    digest = hashlib.sha256()
+    for path in sorted(files, key=lambda path: path.name):
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

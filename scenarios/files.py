@@ -8,7 +8,6 @@ import difflib
 import hashlib
 import json
 import tomllib
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,18 +25,21 @@ VARIANT_KEYS = {"title", "notes", "origin", "fitted", "time", "plant", "disturba
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario file: `name`, its variants (first = default) as complete tables, and where it was read from."""
+    """A scenario file: `name`, its variants as complete tables, its default (the file's first), where it was read from.
+
+    unfit: variants that are sound by themselves but cannot take the overrides (the number of contending trains, on a
+    channel of another kind), with what is wrong."""
 
     name: str
     where: str
     variants: dict[str, dict[str, Any]] = field(repr=False)
-
-    @property
-    def default(self) -> str:
-        return next(iter(self.variants))
+    default: str
+    unfit: dict[str, list[str]] = field(default_factory=dict)
 
     def setting(self, variant: str) -> Setting[Any]:
-        """The setting of one variant. Raises InputError for an unknown variant."""
+        """The setting of one variant. Raises InputError for one that is unknown or unfit."""
+        if variant in self.unfit:
+            raise InputError("\n".join(f"{self.where}: variants.{variant}: {line}" for line in self.unfit[variant]))
         if variant not in self.variants:
             raise InputError(f"{self.where}: there is no variant \"{variant}\"; allowed: {', '.join(self.variants)}")
         table = self.variants[variant]
@@ -65,7 +67,8 @@ def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
         if not path.exists():
             near = difflib.get_close_matches(name, scenario_files(), 1)
             hint = f" (did you mean {near[0]}?)" if near else ""
-            raise InputError(f"{name}: no such scenario and no such file{hint}; built in: {', '.join(scenario_files())}")
+            raise InputError(f"{name}: no such scenario and no such file{hint}; built in: "
+                             f"{', '.join(scenario_files())}")
         if path.is_dir():
             raise InputError(f"{name}: is a directory; a scenario is a TOML file or one of "
                              f"{', '.join(scenario_files())}")
@@ -80,10 +83,7 @@ def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
 
 
 def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """A scenario from its TOML table; `where` stands in the messages. Raises InputError with all mistakes.
-
-    A variant that is sound by itself but cannot take the overrides (the number of contending trains, on a channel of
-    another kind) is left out with a warning, as long as another variant can."""
+    """A scenario from its TOML table; `where` stands in the messages. Raises InputError with all mistakes."""
     if not table:
         raise InputError(f"{where}: the file is empty; a scenario needs name, title, [time], [plant], [estimators]")
     base = {key: value for key, value in table.items() if key != "variants"}
@@ -91,7 +91,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     if not isinstance(named, dict) or not named or not all(isinstance(value, dict) for value in named.values()):
         raise InputError(f"{where}: variants must be tables such as [variants.NAME]")
     mistakes: list[str] = []
-    unfit: list[tuple[str, list[str]]] = []
+    unfit: dict[str, list[str]] = {}
     variants: dict[str, dict[str, Any]] = {}
     for variant, changes in named.items():
         unknown = sorted(set(changes) - VARIANT_KEYS)
@@ -107,20 +107,17 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
             merged = set_dotted(merged, key, value)
         found = validate(merged, where)
         if found and overrides and not validate(plain, where):
-            unfit.append((variant, found))
+            unfit[variant] = found
             continue
         prefix = f"variants.{variant}: " if changes else ""
         mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
         variants[variant] = merged
-    for variant, found in unfit:
-        if variants:
-            warnings.warn(f"{where}: variant {variant} is left out: {'; '.join(found)}", stacklevel=2)
-        else:
-            prefix = f"variants.{variant}: " if named[variant] else ""
-            mistakes += [prefix + mistake for mistake in found]
+    if not variants:
+        mistakes += [f"variants.{variant}: {line}" if named[variant] else line
+                     for variant, found in unfit.items() for line in found]
     if mistakes:
         raise InputError("\n".join(f"{where}: {mistake}" for mistake in _without_repeats(mistakes)))
-    return Scenario(base["name"], where, variants)
+    return Scenario(base["name"], where, variants, next(iter(named)), unfit)
 
 
 def validate(table: dict[str, Any], where: str) -> list[str]:

@@ -46,13 +46,15 @@ class Setting(ABC, Generic[ConfigT]):
     kind: the value of `plant.kind` that selects it. Config: its schema. files: its scenario files, beside its module.
     lower_is_better: False for outcomes such as trains per hour, by metric name. user_files: keys of [plant] that may
     hold the path of a file of the user's, whose content then belongs to the scenario's. needs_file: the dotted key of
-    such a file without which nothing can run."""
+    such a file without which nothing can run. shown: (unit, factor) in which tables print outcomes that are no scored
+    quantity, by name."""
 
     kind: ClassVar[str]
     Config: ClassVar[type[ScenarioConfig]]
     files: ClassVar[tuple[str, ...]] = ()
     user_files: ClassVar[tuple[str, ...]] = ()
     needs_file: ClassVar[str] = ""
+    shown: ClassVar[dict[str, tuple[str, float]]] = {}
 
     def __init__(self, config: ConfigT) -> None:
         self.config = config

@@ -4,14 +4,13 @@ A design is a scenario's estimators' own `design` step; a certificate is Theorem
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import typer
-from matplotlib.figure import Figure
 
 from ...estimators.interface import Estimator
 from ...estimators.lmi_decay import trade_off
@@ -23,7 +22,7 @@ from ...scenarios.randomness import Streams
 from ...scenarios.setting import Setting
 from ..console import print_table
 from ..drive import prepare
-from ..plan import find
+from ..plan import find_one
 from .options import Estimators, Sets, overrides, words
 
 Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
@@ -51,6 +50,7 @@ def design(
         return
     rows: list[dict[str, Any]] = []
     gains: dict[str, np.ndarray] = {}
+    others: dict[str, dict[str, Any]] = {}
     for label in _labels(setting, estimators):
         entry = setting.config.estimators[label]
         found = _designed(setting, name, variant, estimator_class(entry.plugin, name), entry.parameters,
@@ -59,9 +59,15 @@ def design(
             rows.append({"estimator": label, **found.row})
         if found.gain is not None:
             gains[label] = found.gain
-    if not rows:
+        if found.other:
+            others[label] = found.other
+    if not rows and not others:
         raise InputError(f"{name}/{variant}: none of these estimators has anything to design")
-    print_table(f"Designs of {name}/{variant}", pd.DataFrame(rows))
+    if rows:
+        print_table(f"Designs of {name}/{variant}", pd.DataFrame(rows))
+    for label, other in others.items():
+        print_table(f"Design of {label} on {name}/{variant}", pd.DataFrame(
+            [{"what": what, "value": value} for what, value in _lines(other)]))
     for label, gain in gains.items():
         _print_gain(f"Gain of {label}", gain)
         if out:
@@ -95,8 +101,28 @@ def certify(
 
 @dataclass(frozen=True)
 class _Designed:
+    """A row of the table with its gain; or whatever else a design tells, as nested names and values."""
+
     row: dict[str, str]
     gain: np.ndarray | None = None
+    other: dict[str, Any] = field(default_factory=dict)
+
+
+def _lines(found: dict[str, Any], path: str = "") -> list[tuple[str, str]]:
+    """Nested names and values as lines; matrices row by row."""
+    out: list[tuple[str, str]] = []
+    for key, value in found.items():
+        name = f"{path}: {key}" if path else key
+        if isinstance(value, dict):
+            out += _lines(value, name)
+        else:
+            matrix = np.atleast_2d(np.asarray(value)) if isinstance(value, list | np.ndarray) else None
+            if matrix is None or matrix.dtype.kind not in "if":
+                out.append((name, f"{value:.6g}" if isinstance(value, float) else str(value)))
+            else:
+                out += [(f"{name}, row {i + 1}" if len(matrix) > 1 else name, "  ".join(f"{x:.4g}" for x in row))
+                        for i, row in enumerate(matrix)]
+    return out
 
 
 def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimator], parameters: dict[str, Any],
@@ -110,7 +136,7 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
     except Infeasible as reason:
         return _Designed({"bound": "none", "status": f"infeasible: {reason}"})
     if "gain" not in info:
-        return _Designed({})
+        return _Designed({}, other=info)
     bound, seconds = info["bound"], info.get("design_s")
     return _Designed({
         "bound": "none" if bound is None else f"{bound:.6g}",
@@ -130,8 +156,8 @@ def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator
 
 def _setting(scenario: str, theta: float | None, delta: float | None, set_: list[str]) -> tuple[Setting[Any], str, str]:
     told = {"knowledge.theta": theta, "knowledge.delta": delta}
-    found, variants = find(scenario, {**overrides(set_), **{k: v for k, v in told.items() if v is not None}})
-    return found.setting(variants[0]), found.name, variants[0]
+    found, variant = find_one(scenario, {**overrides(set_), **{k: v for k, v in told.items() if v is not None}})
+    return found.setting(variant), found.name, variant
 
 
 def _labels(setting: Setting[Any], only: str) -> list[str]:
@@ -166,6 +192,8 @@ def _trade_off(setting: Setting[Any], name: str, variant: str, thetas: list[floa
     if not plot:
         return
     points = sorted((theta, item.bound) for theta, item in found if not isinstance(item, Infeasible))
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(5.5, 3.6), layout="constrained")
     axes = figure.subplots()
     axes.semilogy([theta for theta, _ in points], [bound for _, bound in points], "o-")

@@ -13,16 +13,16 @@ from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
 from ..console import print_table
-from ..plan import find
+from ..plan import find_one
 
 
 def list_() -> None:
     """List scenarios with their variants, and estimators with what they need and claim."""
     rows = []
     for name in scenario_files():
-        scenario, variants = find(name)
-        config = scenario.setting(scenario.default).config
-        rows.append({"scenario": name, "about": config.title, "variants (first = default)": " ".join(variants),
+        scenario, default = find_one(name)
+        config = scenario.setting(default).config
+        rows.append({"scenario": name, "about": config.title, "variants (first = default)": " ".join(scenario.variants),
                      "estimators": " ".join(config.estimators)})
     print_table("Scenarios", pd.DataFrame(rows))
     print_table("Estimators", pd.DataFrame([
@@ -36,10 +36,9 @@ def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a T
         _show_estimator(name, estimators()[name])
         return
     try:
-        scenario, variants = find(name)
+        scenario, variant = find_one(name)
     except InputError as error:
         raise InputError(f"{error}\nestimators: {', '.join(estimators())}") from None
-    variant = variants[0]
     config = scenario.setting(variant).config
     print(f"{scenario.name}/{variant}: {config.title}\nsource: {config.source}")
     print(f"variants: {', '.join(scenario.variants)}")

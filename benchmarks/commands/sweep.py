@@ -16,7 +16,7 @@ import typer
 from ...scenarios.errors import InputError
 from ..batch import as_csv, complete
 from ..console import print_table
-from ..plan import find, make_plan
+from ..plan import find_one, make_plan
 from ..runner import Machinery
 from ..store import Store
 from ..summary import summarise
@@ -38,8 +38,8 @@ def sweep(
     """Run a scenario (its default variant unless one is named) at each value of a key."""
     axes = dict(_axis(text) for text in over)
     fixed = overrides(set_)
-    found, variants = find(scenario, fixed)
-    name = scenario if len(variants) == 1 else f"{scenario}/{variants[0]}"
+    found, variant = find_one(scenario, fixed)
+    name = scenario if scenario.endswith(f"/{variant}") else f"{scenario}/{variant}"
     folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key in axes)}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     plans = [make_plan([name], only=words(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
