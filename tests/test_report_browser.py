@@ -192,6 +192,11 @@ def test_print_is_light_and_unfolded_whatever_the_screen(browser: Any, folder: P
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {
         "media": "print", "features": [{"name": "prefers-color-scheme", "value": "dark"}]})
     assert browser.execute_script(CONTRAST)[0] > 0.9
+    paper = 1030
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride",
+                            {"width": paper, "height": 730, "deviceScaleFactor": 1, "mobile": False})
+    assert browser.execute_script("""return Math.max(...[...document.querySelectorAll('table, svg, p')]
+        .map(part => part.getBoundingClientRect().right));""") <= paper
 
 
 def test_a_link_to_a_folded_variant_unfolds_it(browser: Any, folder: Path) -> None:

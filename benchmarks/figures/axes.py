@@ -148,7 +148,8 @@ class Panel:
         canvas.path([(left, bottom), (left + width, bottom)], stroke="muted", width=0.6)
         canvas.path([(left, top), (left, bottom)], stroke="muted", width=0.6)
         if x_label:
-            canvas.text(left + width / 2, bottom + (19 if x_ticks else 10), x_label, anchor="middle", colour="muted")
+            middle = min(left + width / 2, canvas.width - text_width(x_label) / 2)
+            canvas.text(middle, bottom + (19 if x_ticks else 10), x_label, anchor="middle", colour="muted")
         if y_label:
             canvas.text(left - 29, top + height / 2, y_label, anchor="middle", colour="muted", turned=True)
 

@@ -150,28 +150,21 @@ def _save_with_matplotlib(canvas: Canvas, path: Path) -> None:
         axes.set_axis_off()
         axes.set_xlim(0, canvas.width)
         axes.set_ylim(canvas.height, 0)
-        for item in canvas.items:
+        for order, item in enumerate(canvas.items):
             if isinstance(item, _Text):
                 align: dict[Anchor, Literal["left", "center", "right"]] = {
                     "start": "left", "middle": "center", "end": "right"}
                 across = align[item.anchor]
                 axes.text(item.x, item.y, item.text.replace("$", r"\$"), fontsize=item.size * 0.95,
                           color=LIGHT[item.colour], va="baseline", ha=across, rotation=90 if item.turned else 0,
-                          rotation_mode="anchor", fontweight="bold" if item.bold else "normal")
+                          rotation_mode="anchor", fontweight="bold" if item.bold else "normal", zorder=order)
                 continue
-            stroke = LIGHT[item.stroke] if item.stroke else "none"
             dash = (0, tuple(part / item.width for part in item.dash)) if item.dash else "solid"
             if item.fill:
-                if item.opacity < 1 or not item.stroke:
-                    axes.add_patch(Polygon(item.points, closed=True, facecolor=LIGHT[item.fill], edgecolor="none",
-                                           alpha=item.opacity))
-                    if item.stroke:
-                        axes.add_patch(Polygon(item.points, closed=True, fill=False, edgecolor=stroke,
-                                               linewidth=item.width, linestyle=dash))
-                else:
-                    axes.add_patch(Polygon(item.points, closed=True, facecolor=LIGHT[item.fill], edgecolor=stroke,
-                                           linewidth=item.width, linestyle=dash))
-            else:
-                axes.plot(item.points[:, 0], item.points[:, 1], color=stroke, linewidth=item.width, linestyle=dash,
-                          solid_capstyle="butt", solid_joinstyle="round")
+                axes.add_patch(Polygon(item.points, closed=True, facecolor=LIGHT[item.fill], edgecolor="none",
+                                       alpha=item.opacity, zorder=order))
+            if item.stroke:
+                outline = np.vstack([item.points, item.points[:1]]) if item.fill else item.points
+                axes.plot(outline[:, 0], outline[:, 1], color=LIGHT[item.stroke], linewidth=item.width, linestyle=dash,
+                          solid_capstyle="butt", solid_joinstyle="round", zorder=order)
         figure.savefig(path, dpi=300, facecolor="white")
