@@ -132,7 +132,7 @@ def small_case(parameters: Mapping[str, Any]) -> Case:
 # -- scenarios -------------------------------------------------------------------------------------------------------
 def scenario_case(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], wanted: str = "") -> Case | None:
     """The case of a scenario: the one wanted (NAME or NAME/VARIANT), else the first that lists the plug-in, else the
-    first whose design model gives what it needs; None where there is none. Raises InputError for one that is wanted and
+    shortest whose design model gives what it needs; None where there is none. Raises InputError for one wanted that
     does not give it."""
     if wanted:
         scenario, variants = find(wanted)
@@ -148,7 +148,7 @@ def scenario_case(cls: type[Estimator], plugin: str, parameters: Mapping[str, An
         setting = scenario.setting(scenario.default)
         if not getattr(setting, "needs_file", ""):
             choices.append((f"{name}/{scenario.default}", setting, _entry(setting, plugin)))
-    for name, setting, entry in sorted(choices, key=lambda choice: choice[2] is None):
+    for name, setting, entry in sorted(choices, key=lambda item: (item[2] is None, item[1].config.time.steps)):
         try:
             return _case(name, setting, cls, entry or EstimatorEntry(plugin=plugin), parameters)
         except (Infeasible, ValidationError):

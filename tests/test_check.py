@@ -108,7 +108,7 @@ def test_a_broken_plug_in_is_caught(railstate: Command, rule: str) -> None:
     assert (expected, mend) == (known.expected, known.mend)
     assert CHANGES[rule][2] in happened
     others = {part.split(" (")[0] for part in done.out.split("\nBROKEN ")[1:]} - {rule}
-    # Numbers that no stream decides differ between any two feeds; the rest breaks one rule, or one that follows from it.
+    # Numbers that no stream decides differ between any two feeds; the rest breaks its rule, or what follows from it.
     follow = {"causality": {"missing measurements"}, "independence": {"parts of a step"}, "determinism": others,
               "global random state": others}
     assert others <= follow.get(rule, set()), done.out

@@ -90,8 +90,8 @@ def _run(a: str, b: str, names: list[str], runs: int, seed: int, jobs: int, sets
 
 
 def _fitting(a: str, b: str, seed: int) -> list[str]:
-    """NAME/VARIANT of the built-in scenarios whose first variant lists both; else of the first that both can work with.
-    Raises InputError."""
+    """NAME/VARIANT of the built-in scenarios whose first variant lists both; else of the shortest that both can work
+    with. Raises InputError."""
     listed, possible = [], []
     for name in scenario_files():
         scenario = find(name)[0]
@@ -103,12 +103,15 @@ def _fitting(a: str, b: str, seed: int) -> list[str]:
             listed.append(f"{name}/{scenario.default}")
         elif all(label in entries or label in estimators() for label in (a, b)):
             possible.append((f"{name}/{scenario.default}", setting))
-    for name, setting in [] if listed else possible:
+    for name, setting in [] if listed else sorted(possible, key=lambda item: item[1].config.time.steps):
+        model = setting.design_model({}, setting.world(Streams(seed, name, "", (0,))).initial_mean)
+        entries = setting.config.estimators
+        classes = [estimators()[entries[label].plugin if label in entries else label] for label in (a, b)]
+        if model.modes is not None and not all("modes" in cls.needs for cls in classes):
+            continue  # one of them would not estimate the parameter that this scenario is about
         try:
-            model = setting.design_model({}, setting.world(Streams(seed, name, "", (0,))).initial_mean)
-            for label in (a, b):
-                entry = setting.config.estimators.get(label)
-                estimators()[entry.plugin if entry else label].require(model)
+            for cls in classes:
+                cls.require(model)
         except Unsupported:
             continue
         return [name]
