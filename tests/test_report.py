@@ -15,6 +15,7 @@ from railstate.benchmarks import statistics as st
 from railstate.benchmarks import verdicts, wording
 from railstate.benchmarks.commands.report import report
 from railstate.benchmarks.figures.data import Results, load_results
+from railstate.benchmarks.paragraphs import paragraph
 from railstate.benchmarks.report import write_report
 from railstate.benchmarks.report.table import Entry, failures, table
 from railstate.benchmarks.store import Store
@@ -137,16 +138,16 @@ def test_headlines_say_where_the_robust_estimator_wins_and_where_not(results: Re
 
 
 def test_paragraphs_in_plain_words(results: Results) -> None:
-    metro = " ".join(verdicts.paragraph(results.rows, results.manifest, "ningbo-metro"))
+    metro = " ".join(paragraph(results.rows, results.manifest, "ningbo-metro"))
     assert metro.startswith("Variant switching: ekf is best (position 0.")
     assert "ukf ties with it; the next, ekf-inflated, has " in metro
     assert "ekf and ukf are best or tied for position and speed in 2 of 3 variants" in metro
     assert "Too sure of its own errors: ekf-naive in all 3 variants (ANEES up to 9." in metro
     assert "leaves it: robust-ellipsoid in all 3 variants (in up to 4.2 % of the runs)" in metro
-    cbtc = " ".join(verdicts.paragraph(results.rows, results.manifest, "cbtc-csma"))
+    cbtc = " ".join(paragraph(results.rows, results.manifest, "cbtc-csma"))
     assert "Exceeds its certified bound: fastest-decay in 1 of 2 variants (by up to 1.5 times)" in cbtc
     assert "Has runs that diverged, failed or could not be designed: direct in both variants" in cbtc
-    braking = " ".join(verdicts.paragraph(results.rows, results.manifest, "braking-rate"))
+    braking = " ".join(paragraph(results.rows, results.manifest, "braking-rate"))
     assert "kalman-known-f: not ranked" in braking
     assert "Nobody broke a promise" in braking
 

@@ -20,8 +20,9 @@ from ..figures.axes import Style, draw_marker
 from ..figures.canvas import DARK, LIGHT, Canvas
 from ..figures.catalogue import FIGURES, Figure, of_scenario
 from ..figures.data import Cell, Results, load_results
+from ..paragraphs import paragraph
 from ..store import Store
-from ..verdicts import contest_words, paragraph, robust_contests
+from ..verdicts import contest_words, robust_contests
 from ..wording import counted
 from .table import Failure, Table, failures, table
 
