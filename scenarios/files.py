@@ -8,7 +8,7 @@ import difflib
 import hashlib
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -132,7 +132,7 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
     try:
         setting = kind(kind.Config.model_validate(table))
     except ValidationError as error:
-        return describe(error)
+        return describe(error, table=table)
     mistakes: list[str] = []
     for label, entry in setting.config.estimators.items():
         try:
@@ -142,17 +142,27 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
     return mistakes
 
 
-def describe(error: ValidationError, prefix: str = "") -> list[str]:
-    """pydantic's errors as lines `dotted.path: message (got ..)`."""
+def describe(error: ValidationError, prefix: str = "", table: Mapping[str, Any] | None = None) -> list[str]:
+    """pydantic's errors as lines `dotted.path: message (got ..)`, the path as the file's `table` has it."""
     lines = []
     for item in error.errors(include_url=False):
-        path = ".".join(str(part) for part in ([prefix] if prefix else []) + list(item["loc"]))
+        path = ".".join([*([prefix] if prefix else []), *_keys(item["loc"], table)])
         got = item["input"]
         message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
         message = message.removeprefix("Value error, ")
         shown = "" if item["type"] == "missing" or isinstance(got, dict) else f" (got {got!r})"
         lines.append(f"{path}: {message}{shown}" if path else f"{message}{shown}")
     return lines
+
+
+def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
+    """The keys of an error's place, without those that pydantic adds for a table it chose by its `kind`."""
+    for part in loc:
+        inside = isinstance(table, dict)
+        if inside and part not in table and table.get("kind") == part:
+            continue
+        table = table.get(part) if inside else None
+        yield str(part)
 
 
 def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -258,5 +258,6 @@ def test_a_variant_without_any_recorded_sensor_says_so(recording):
 
 def test_variants_whose_outage_is_longer_than_the_trip_are_left_out(recording):
     changes = {"plant.recording": recording, "plant.map": MAP, "sensors.outage.duration": 500.0}
-    with pytest.warns(UserWarning, match="do not fit into the recording"):
-        assert tuple(load("recorded", changes).variants) == ("as-recorded", "odometer")
+    scenario = load("recorded", changes)
+    assert tuple(scenario.variants) == ("as-recorded", "odometer")
+    assert scenario.unfit and all("do not fit into the recording" in why for why, in scenario.unfit.values())
