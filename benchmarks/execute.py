@@ -32,7 +32,6 @@ class Result:
     rows: pa.Table
     curves: pa.Table | None
     kept: pa.Table | None
-    design: dict[str, dict[str, Any]]
 
 
 def execute(task: Task) -> Result:
@@ -55,7 +54,7 @@ def execute(task: Task) -> Result:
             kept += block.kept
         if task.keep and not worlds.closed_loop:
             kept += worlds.extras()
-    return Result(task, _join(rows), _join(curves) if curves else None, _join(kept) if kept else None, {})
+    return Result(task, _join(rows), _join(curves) if curves else None, _join(kept) if kept else None)
 
 
 def _join(tables: Sequence[pa.Table]) -> pa.Table:
@@ -130,7 +129,7 @@ class _Block:
                                    world.initial_mean)
         estimator.design(model)
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
-        _warm_up(self.setting, self.task, self.label)
+        _warm_up(self.setting, self.task, self.label, (runs[0], runs[-1]))
         return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None)
 
     def _columns(self, runs: tuple[int, ...]) -> Columns:
@@ -166,20 +165,21 @@ def failed_rows(task: Task, status: Status, reason: str) -> Result:
                         "estimator": [label] * n, "run": pa.array(task.runs, pa.int32()), "status": [status.name] * n,
                         "reason": [reason] * n, "exception": [""] * n, "seconds": np.zeros(n)})
               for label in task.labels]
-    return Result(task, _join(tables), None, None, {})
+    return Result(task, _join(tables), None, None)
 
 
 _warm: set[tuple[str, str]] = set()
 
 
-def _warm_up(setting: Setting[Any], task: Task, label: str) -> None:
-    """Compile (or load) what this estimator needs on this plant before anything is timed: three steps of two runs."""
+def _warm_up(setting: Setting[Any], task: Task, label: str, runs: tuple[int, int]) -> None:
+    """Compile (or load) what this estimator needs on this plant before anything is timed: three steps of two runs,
+    which are the block's own so that a run that makes it raise, die or hang costs no other."""
     entry = task.cell.entries[label]
     key = (setting.kind, repr((entry.plugin, entry.parameters, entry.knowledge)))
     if key in _warm:
         return
     _warm.add(key)
-    streams = Streams(task.seed, task.cell.scenario, task.cell.variant, (0, 1))
+    streams = Streams(task.seed, task.cell.scenario, task.cell.variant, runs)
     world = FirstSteps(setting.world(streams), 3)
     estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
                                world.initial_mean)

@@ -1,6 +1,7 @@
 """Running a plan: tasks in parallel through joblib, parts written as they come, the dead and the hung isolated.
 
-Rows do not depend on jobs, batch size, backend or order; killing it loses only the tasks under way."""
+Rows do not depend on jobs, batch size, backend or order; killing it loses only the tasks under way. What is not the
+suite's own code never runs in this process: if it dies or hangs, that costs the rows it was working on."""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..estimators.interface import Status
+from ..estimators.registry import estimators
 from ..scenarios.errors import InputError
+from ..scenarios.registry import settings
 from .execute import Result, execute, failed_rows
 from .plan import Plan, Task, make_tasks
 from .store import Store
@@ -46,8 +49,11 @@ def run(plan: Plan, store: Store, machinery: Machinery, report: Callable[[Task],
         report(result.task)
 
     left = dict.fromkeys(range(len(tasks)))
+    alone = machinery.backend == "local" and (machinery.jobs == 1 or len(tasks) <= 1)
     try:
-        for number, result in _parallel(tasks, machinery):
+        if alone and not _own(plan):
+            raise _Lost
+        for number, result in map(_numbered, range(len(tasks)), tasks) if alone else _parallel(tasks, machinery):
             keep(result)
             del left[number]
     except _Lost:
@@ -61,7 +67,14 @@ def run(plan: Plan, store: Store, machinery: Machinery, report: Callable[[Task],
 
 
 class _Lost(Exception):
-    """A worker died or hung; which one is not known."""
+    """A worker died or hung, which one is not known; or could, in this very process."""
+
+
+def _own(plan: Plan) -> bool:
+    """Whether all classes of the plan are the suite's own."""
+    classes = [cls for cell in plan.cells for cls in (
+        settings()[cell.table["plant"]["kind"]], *(estimators()[entry.plugin] for entry in cell.entries.values()))]
+    return all(cls.__module__.startswith("railstate.") for cls in classes)
 
 
 def _numbered(number: int, task: Task) -> tuple[int, Result]:
@@ -69,10 +82,6 @@ def _numbered(number: int, task: Task) -> tuple[int, Result]:
 
 
 def _parallel(tasks: list[Task], machinery: Machinery) -> Iterator[tuple[int, Result]]:
-    if machinery.backend == "local" and (machinery.jobs == 1 or len(tasks) <= 1):
-        for number, task in enumerate(tasks):
-            yield number, execute(task)
-        return
     import joblib
     from joblib.externals.loky import get_reusable_executor  # pyright: ignore[reportMissingImports]
     from joblib.externals.loky.process_executor import TerminatedWorkerError  # pyright: ignore[reportMissingImports]
@@ -132,7 +141,10 @@ class _Isolation:
 
     def execute(self, task: Task) -> Result | tuple[Status, str]:
         """The task's result, or how its process ended."""
-        self._pool = self._pool or ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"),
+                                             initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+            self._pool.submit(_ready).result()  # starting it and importing are not the task's time
         future = self._pool.submit(execute, task)
         try:
             return future.result(self.timeout)
@@ -151,6 +163,10 @@ class _Isolation:
                     os.kill(process.pid, signal.SIGKILL)
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
+
+
+def _ready() -> None:
+    """Unpickling this in a new process imports what tasks need."""
 
 
 def _isolated(task: Task, process: _Isolation) -> Iterator[Result]:
