@@ -121,10 +121,13 @@ def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scen
     from .conformance_rules import RULES
 
     try:
-        found = scenario_case(cls, plugin, parameters, scenario)
-        cases = [small_case(parameters), *([found] if found else [])]
+        cls.Parameters.model_validate(dict(parameters))
     except ValidationError as error:
-        raise InputError("\n".join(describe(error, "parameters"))) from None
+        wrong = [line for line in describe(error, "parameters") if not line.endswith(": missing")]  # a scenario's to give
+        if wrong:
+            raise InputError("\n".join(wrong)) from None
+    found = scenario_case(cls, plugin, parameters, scenario)
+    cases = [small_case(parameters), *([found] if found else [])]
     report = Report({}, {}, [])
     if not found:
         report.left_out["scenarios"] = "no built-in scenario gives what it needs"
