@@ -123,7 +123,8 @@ def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scen
     try:
         cls.Parameters.model_validate(dict(parameters))
     except ValidationError as error:
-        wrong = [line for line in describe(error, "parameters") if not line.endswith(": missing")]  # a scenario's to give
+        # what is missing a scenario may give
+        wrong = [line for line in describe(error, "parameters") if not line.endswith(": missing")]
         if wrong:
             raise InputError("\n".join(wrong)) from None
     found = scenario_case(cls, plugin, parameters, scenario)
