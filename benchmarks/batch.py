@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+from itertools import groupby
 from pathlib import Path
 
 import pandas as pd
@@ -90,13 +91,16 @@ def print_results(store: Store) -> None:
     """The tables on standard output, failures with their replay lines, and the closing count."""
     rows, manifest = store.rows(), store.manifest()
     summary = summarise(rows)
-    told: set[str] = set()
-    for key, frame in cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest)):
-        notes = notes_of(manifest, *key.split("/"))
-        print_table(key, frame, [note for note in notes if note not in told])
-        told.update(notes)
-    for line in headlines(rows, manifest):
-        print(line)
+    tables = cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest))
+    for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
+        told: set[str] = set()
+        for key, frame in variants:
+            notes = notes_of(manifest, *key.split("/"))
+            print_table(key, frame, [note for note in notes if note not in told])
+            told.update(notes)
+        for line in headlines(rows, manifest, scenario):
+            print(f"{scenario}: {line}")
+        print()
     bad = rows[rows["status"] != "ok"]
     groups = bad.groupby(["scenario", "variant", "estimator", "status", "reason"], sort=False)
     for (scenario, variant, estimator, status, reason), part in groups:

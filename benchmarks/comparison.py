@@ -136,7 +136,7 @@ def _decided(pairs: list[_Pair]) -> list[Contest]:
         if pair.metric == FINISHED:
             verdict: st.Verdict = "tie" if p >= st.ALPHA else "better" if each.difference < 0 else "worse"
         else:
-            verdict = st.verdict(each, p)
+            verdict = st.verdict(each, p, len(found))
         both = np.isfinite(pair.a) & np.isfinite(pair.b)
         a, b = (st.pooled_rmse(side[both])[0] if pair.metric == "rmse" else float(side[both].mean())
                 for side in (pair.a, pair.b))
@@ -213,7 +213,8 @@ def words(contest: Contest, a: str, b: str) -> str:
         return (f"{where}: {b} ends well in {percent(1 - contest.b)} of the runs, {a} in {percent(1 - contest.a)}"
                 f"{chance} ({certainty})")
     subject = f"{contest.quantity} {contest.metric}"
-    if contest.verdict == "tie":
-        return f"{where}: {subject}: a tie, {b} {change_interval(found)} against {a} ({certainty})"
+    if contest.verdict in ("tie", "too few runs"):
+        verdict = "a tie" if contest.verdict == "tie" else "too few runs to tell"
+        return f"{where}: {subject}: {verdict}, {b} {change_interval(found)} against {a} ({certainty})"
     return (f"{where}: {subject}: {b} is {contest.verdict} than {a}, {change_interval(found)}, with the lower error in "
             f"{percent(found.won)} of the runs ({certainty})")

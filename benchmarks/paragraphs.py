@@ -73,23 +73,26 @@ def _breach_words(kind: str, found: Mapping[str, list[Breach]], total: int) -> s
 
 def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str, Judged]]],
                      about: Mapping[str, Any]) -> list[str]:
-    """`Variant white: a is best (position 0.11 m), b ties with it; the next, c, has 5 to 6 % more error, ..`"""
-    groups: dict[tuple[str, tuple[str, ...]], list[tuple[str, str, list[Judged]]]] = {}
+    """`Variant white: a is best (position 0.11 m); the next, b, has 5 to 6 % more error, ..`, `a and b tie as best ..`;
+    quantities with the same winners together."""
+    groups: dict[tuple[str, ...], list[tuple[str, str, list[Judged]]]] = {}
     for quantity, (unit, metric, found) in judged.items():
         best = next((j for j in found.values() if j.verdict == "best"), None)
         if best is None or best.value.value == 0:
             continue
-        ties = tuple(j.estimator for j in found.values() if j.verdict == "tie")
+        winners = tuple(j.estimator for j in found.values() if j.verdict in ("best", "tie"))
         worse = sorted((j for j in found.values() if j.verdict == "worse" and j.against),
                        key=lambda j: j.against.relative if j.against else 0.0)
         shown, factor = shown_unit(about, metric, quantity, unit)
         value = f"{quantity} {plus_minus(best.value, factor)} {shown}".rstrip()
-        groups.setdefault((best.estimator, ties), []).append((quantity, value, worse))
+        groups.setdefault(winners, []).append((quantity, value, worse))
     out: list[str] = []
-    for (best_label, ties), members in groups.items():
-        text = f"{best_label} is best ({', '.join(value for _, value, _ in members)})"
-        if ties:
-            text += f", {some(ties)} {'tie' if len(ties) > 1 else 'ties'} with it"
+    for winners, members in groups.items():
+        text = (f"{some(winners)} {'tie as' if len(winners) > 1 else 'is'} best "
+                f"({', '.join(value for _, value, _ in members)})")
+        unsure = {j.estimator for quantity, _, _ in members for j in judged[quantity][2].values()
+                  if j.verdict == "incomplete"}
+        text += f"; {some(sorted(unsure))}: too few runs to tell" if unsure else ""
         text += _follower("; the next", [(quantity, worse[0]) for quantity, _, worse in members if worse])
         text += _follower(", the last", [(quantity, worse[-1]) for quantity, _, worse in members if len(worse) > 1])
         out.append(text)

@@ -52,7 +52,7 @@ class Ranks(NamedTuple):
     n: int
 
 
-Verdict = Literal["better", "worse", "tie"]
+Verdict = Literal["better", "worse", "tie", "too few runs"]
 
 
 def finite(values: ArrayLike) -> Array:
@@ -202,13 +202,17 @@ def holm(pvalues: Sequence[float]) -> list[float]:
     return out.tolist()
 
 
-def verdict(found: Paired, adjusted_p: float, *, lower_is_better: bool = True) -> Verdict:
-    """What may be said of a against b. Anything but a tie needs all three: Holm's p under ALPHA, an interval of the
-    mean difference without 0, and a mean difference of at least RESOLUTION of b's mean."""
-    resolved = adjusted_p < ALPHA and (found.low > 0 or found.high < 0)
-    if not resolved or abs(found.relative) < RESOLUTION:
+def verdict(found: Paired, adjusted_p: float, comparisons: int = 1) -> Verdict:
+    """What may be said of a against b. Better and worse need all three: Holm's p under ALPHA, an interval of the mean
+    difference without 0, and a mean difference of at least RESOLUTION of b's mean.
+
+    `too few runs`: only Holm's p is missing, and with so many `comparisons` it would be whatever the runs said (2^(1-n)
+    is the least p of n runs). Anything else is a tie."""
+    if abs(found.relative) < RESOLUTION or not (found.low > 0 or found.high < 0):
         return "tie"
-    return "better" if (found.difference < 0) == lower_is_better else "worse"
+    if adjusted_p < ALPHA:
+        return "better" if found.difference < 0 else "worse"
+    return "too few runs" if comparisons * 2.0 ** (1 - found.n) >= ALPHA else "tie"
 
 
 def friedman(errors: Array) -> Ranks:

@@ -45,14 +45,17 @@ def cell_tables(summary: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.D
     scenario's shown units, the short verdict from `notes`, latency and throughput."""
     for (scenario, variant), part in summary.groupby(["scenario", "variant"], sort=False):
         described = manifest["scenarios"][scenario]
+        wanted = [*map(tuple, described["table"]), *((status, "runs") for status in _STATUS)]
+        heads: dict[str, int] = {}
         lines: list[dict[str, str]] = []
         for estimator, mine in part.groupby("estimator", sort=False):
             line: dict[str, str] = {"estimator": str(estimator)}
             for metric, quantity, unit, mean, error in zip(
                     *(mine[name] for name in ("metric", "quantity", "unit", "mean", "standard_error")), strict=True):
-                if (metric, quantity) in _columns(described) or metric in _STATUS:
+                if (metric, quantity) in wanted:
                     name, factor = shown_unit(described, metric, quantity, unit)
                     head = f"{metric} {quantity}" + (f" [{name}]" if name else "")
+                    heads[head] = wanted.index((metric, quantity))
                     line[head] = _pair(mean * factor, error * factor)
             line["verdict"] = notes.get((str(scenario), str(variant), str(estimator)), "")
             if timing is not None:
@@ -63,7 +66,7 @@ def cell_tables(summary: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.D
                     line["ns/run-step"] = _number(float(here["throughput_ns"].iloc[0]))
             lines.append(line)
         frame = pd.DataFrame(lines).fillna("")
-        order = ["estimator", *(c for c in frame.columns if c not in ("estimator", *_LAST)),
+        order = ["estimator", *sorted(heads, key=heads.__getitem__),
                  *(c for c in _LAST if c in frame.columns and frame[c].astype(bool).any())]
         yield f"{scenario}/{variant}", frame[order]
 
@@ -72,19 +75,15 @@ _STATUS = ("diverged", "failed", "crashed", "timeout", "infeasible")
 _LAST = ("latency [us]", "ns/run-step", "verdict")
 
 
-def _columns(described: Mapping[str, Any]) -> list[tuple[str, str]]:
-    return [(metric, quantity) for metric, quantity in described["table"]]
-
-
 def _number(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def _pair(mean: float, error: float) -> str:
-    """`0.1234 +-0.0012`: the error with two digits, the mean to the same place."""
+    """`0.1234 ±0.0012`: the error with two digits, the mean to the same place."""
     if not np.isfinite(error) or error <= 0:
         return _number(mean)
-    if abs(mean) >= 1e5:
+    if abs(mean) >= 1e5 or max(abs(mean), error) < 1e-4:
         return f"{mean:.2e} ±{error:.0e}"
     places = int(np.clip(1 - np.floor(np.log10(error)), 0, 8))
     return f"{mean:.{places}f} ±{error:.{places}f}"

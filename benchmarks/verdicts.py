@@ -42,7 +42,7 @@ class Judged:
     """An estimator's error in one quantity: its value with interval, the paired difference to the best, the verdict.
 
     verdict: `best`, `tie` (with the best), `worse`, `oracle` (knows what the others must estimate), `incomplete` (too
-    few finished runs to be best, or to be compared), `none` (no value)."""
+    few finished runs to be best, or to be told from it), `none` (no value)."""
 
     estimator: str
     value: st.Interval
@@ -76,6 +76,10 @@ def by_run(rows: pd.DataFrame, column: str) -> dict[str, Array]:
     return {str(label): values for label, values in zip(labels, table, strict=True)}
 
 
+_AGAINST_BEST: Mapping[st.Verdict, Literal["tie", "worse", "incomplete"]] = {
+    "worse": "worse", "tie": "tie", "better": "tie", "too few runs": "incomplete"}
+
+
 def judge(errors: Mapping[str, Array], metric: str, oracles: Collection[str] = ()) -> dict[str, Judged]:
     """Judge estimators (arrays over the same runs) against the best of them that is no oracle.
 
@@ -106,7 +110,7 @@ def judge(errors: Mapping[str, Array], metric: str, oracles: Collection[str] = (
         elif found.n < COMPLETE * most:
             word = "incomplete"
         else:
-            word = "worse" if st.verdict(pair, adjusted[label]) == "worse" else "tie"
+            word = _AGAINST_BEST[st.verdict(pair, adjusted[label], len(rivals))]
         out[label] = Judged(label, found, pair, word)
     return out
 
@@ -236,7 +240,7 @@ def contests(rows: pd.DataFrame, challenger: str, rivals: Collection[str],
                         found.append((rival, quantity, variant, pair))
     out: dict[tuple[str, str], list[Contest]] = {}
     for (rival, quantity, variant, pair), p in zip(found, st.holm([item[3].p for item in found]), strict=True):
-        out.setdefault((rival, quantity), []).append(Contest(variant, st.verdict(pair, p), pair))
+        out.setdefault((rival, quantity), []).append(Contest(variant, st.verdict(pair, p, len(found)), pair))
     return out
 
 
@@ -259,21 +263,18 @@ def robust_contests(rows: pd.DataFrame, manifest: Mapping[str, Any],
     return {label: contests(mine, label, rivals, columns) for label in challengers} if rivals else {}
 
 
-def headlines(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]:
-    """Where the robust estimators beat the Kalman filters and where not, in plain lines (a part of honesty)."""
-    lines: list[str] = []
-    for scenario in rows["scenario"].unique():
-        for challenger, table in robust_contests(rows, manifest, str(scenario)).items():
-            for (rival, quantity), results in table.items():
-                lines.append(f"{scenario}: {challenger} against {rival}, {quantity}: {contest_words(results)}")
-    return lines
+def headlines(rows: pd.DataFrame, manifest: Mapping[str, Any], scenario: str) -> list[str]:
+    """Where a scenario's robust estimators beat the Kalman filters and where not, in plain lines."""
+    return [f"{challenger} against {rival}, {quantity}: {contest_words(results)}"
+            for challenger, table in robust_contests(rows, manifest, scenario).items()
+            for (rival, quantity), results in table.items()]
 
 
 def contest_words(results: list[Contest]) -> str:
     """`better in 2 of 8 variants (sinusoid -30 % [..], 100 % of runs; ..), tie in 1 (..), worse in 5 (..)`."""
     total = counted(len(results), "variant")
     parts: list[str] = []
-    for word in ("better", "tie", "worse"):
+    for word in ("better", "tie", "worse", "too few runs"):
         which = [contest for contest in results if contest.verdict == word]
         if word == "better":
             shown = "; ".join(f"{c.variant} {change_interval(c.found)}, {percent(c.found.won)} of runs" for c in which)

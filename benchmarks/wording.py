@@ -96,6 +96,11 @@ def _bare(relative: float) -> str:
     return "0.0" if text == "-0.0" else text.replace("-", "−")
 
 
+def metric_name(metric: str) -> str:
+    """A metric as tables and figures call it: abbreviations in capitals."""
+    return metric.upper() if metric in ("rmse", "mae") else metric
+
+
 def listing(names: Sequence[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
@@ -118,4 +123,4 @@ def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) 
     chosen = about.get("shown", {}).get(quantity)
     if chosen and metric in ("rmse", "mae", "max", "min", "final", "mean", "half-width"):
         return str(chosen[0]), float(chosen[1])
-    return ("" if unit in ("1", "1^2") else unit), 1.0
+    return ("" if unit in ("1", "1^2") else unit.replace("^2", "²")), 1.0

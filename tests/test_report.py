@@ -129,7 +129,7 @@ def test_short_verdicts_of_the_terminal(results: Results) -> None:
 
 
 def test_headlines_say_where_the_robust_estimator_wins_and_where_not(results: Results) -> None:
-    lines = verdicts.headlines(results.rows, results.manifest)
+    lines = verdicts.headlines(results.rows, results.manifest, "ningbo-metro")
     assert len(lines) == 2 * 3 * 2
     line = next(text for text in lines if "robust-mean-square against ekf, position" in text)
     assert re.search(r"better in 1 of 3 variants \(constant −(19|20|21) % \[−\d+, −\d+\], 100 % of runs\), "
@@ -139,8 +139,8 @@ def test_headlines_say_where_the_robust_estimator_wins_and_where_not(results: Re
 
 def test_paragraphs_in_plain_words(results: Results) -> None:
     metro = " ".join(paragraph(results.rows, results.manifest, "ningbo-metro"))
-    assert metro.startswith("Variant switching: ekf is best (position 0.")
-    assert "ukf ties with it; the next, ekf-inflated, has " in metro
+    assert metro.startswith("Variant switching: ekf and ukf tie as best (position 0.")
+    assert "; the next, ekf-inflated, has " in metro
     assert "ekf and ukf are best or tied for position and speed in 2 of 3 variants" in metro
     assert "Too sure of its own errors: ekf-naive in all 3 variants (ANEES up to 9." in metro
     assert "leaves it: robust-ellipsoid in all 3 variants (in up to 4.2 % of the runs)" in metro

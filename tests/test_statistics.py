@@ -97,10 +97,20 @@ def test_verdict_needs_significance_an_interval_and_a_difference_that_matters(rn
     base = rng.normal(1, 0.2, 100)
     assert st.verdict(st.paired(base * 1.2, base), 1e-6) == "worse"
     assert st.verdict(st.paired(base * 0.8, base), 1e-6) == "better"
-    assert st.verdict(st.paired(base * 1.2, base), 1e-6, lower_is_better=False) == "better"
     assert st.verdict(st.paired(base * 1.2, base), 0.2) == "tie"
     assert st.verdict(st.paired(base * 1.005, base), 1e-9) == "tie"
     assert st.verdict(st.paired(base, base), 1.0) == "tie"
+
+
+@pytest.mark.parametrize(("runs", "comparisons", "expected"), [
+    (5, 1, "too few runs"), (6, 1, "worse"), (6, 11, "too few runs"), (9, 11, "worse")])
+def test_what_no_outcome_could_resolve_is_no_tie(rng: np.random.Generator, runs: int, comparisons: int,
+                                                 expected: str) -> None:
+    """2 / 2^n is the least p of n runs: every run says the same, and yet nothing can be said."""
+    base = rng.normal(1, 0.01, runs)
+    found = st.paired(base * 2, base)
+    assert found.p == pytest.approx(2.0 ** (1 - runs))
+    assert st.verdict(found, min(1.0, comparisons * found.p), comparisons) == expected
 
 
 def test_false_alarms_of_the_whole_rule_stay_under_the_level(rng: np.random.Generator) -> None:

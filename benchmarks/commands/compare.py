@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -144,8 +145,9 @@ def _print_contests(contests: list[Contest], a: str, b: str, speed: dict[tuple[s
             faster = f"{rough(ratio)} times slower" if ratio >= 1 else f"{rough(1 / ratio)} times faster"
             print(f"{cell}{'/' + label if label else ''}: {b} is {faster} than {a} (time per run and step)")
     if contests:
-        counts = [f"{word} in {sum(contest.verdict == word for contest in contests)}"
-                  for word in ("better", "worse", "tie")]
+        found = Counter(contest.verdict for contest in contests)
+        counts = [f"{word} in {found[word]}" for word in ("better", "worse", "tie", "too few runs")
+                  if found[word] or word != "too few runs"]
         print(f"{b} against {a}: {', '.join(counts)} of {counted(len(contests), 'comparison')} (Holm-corrected)")
 
 

@@ -136,6 +136,7 @@ class Panel:
             at = self._down(value)
             canvas.path([(left, at), (left + width, at)], stroke="grid", width=0.5)
             canvas.text(left - 3, at + 2.8, tick_text(value), anchor="end", colour="muted", size=FONT - 0.5)
+        free = 0.0  # where a tick's text may begin
         for value in x.ticks(max(2, int(width // (16 if whole else 34)))):
             if whole and value != round(value):
                 continue
@@ -143,8 +144,11 @@ class Panel:
             canvas.path([(at, top), (at, bottom)], stroke="grid", width=0.5)
             if x_ticks:
                 text = tick_text(value)
-                at = min(at, canvas.width - text_width(text) / 2)
-                canvas.text(at, bottom + 9, text, anchor="middle", colour="muted", size=FONT - 0.5)
+                half = text_width(text, FONT - 0.5) / 2
+                at = min(at, canvas.width - half)
+                if at - half >= free:
+                    canvas.text(at, bottom + 9, text, anchor="middle", colour="muted", size=FONT - 0.5)
+                    free = at + half + 1.5
         canvas.path([(left, bottom), (left + width, bottom)], stroke="muted", width=0.6)
         canvas.path([(left, top), (left, bottom)], stroke="muted", width=0.6)
         if x_label:

@@ -49,7 +49,8 @@ FIGURES: tuple[Figure, ...] = (
     Figure("certified", "Certified bound against measured mean square",
            "A promise is kept where the measured value lies left of its bar.", certified_against_measured),
     Figure("example", "An example run",
-           "The first kept run: the truth of each quantity, and below it the error of every estimator.", example_run),
+           "The first kept run: the truth of each quantity, and below it the error of every estimator; where some are "
+           "many times larger (off), what of them fits in.", example_run),
     Figure("critical-difference", "Ranks over all variants",
            "Mean rank over all runs of all variants. Bars on the right join estimators that Wilcoxon's test with "
            "Holm's correction does not tell apart, or that differ by less than 1 %.", draw_all=critical_difference),
@@ -69,7 +70,8 @@ FIGURES: tuple[Figure, ...] = (
            "First kept run. The bounds are those of the smallest and largest eigenvalue, times the number of states.",
            trace_and_bounds, kinds=("linear",)),
     Figure("track", "The track",
-           "From above, with tags, and where the follower was believed to be in the first kept run.", track,
+           "From above, with tags, both trains' noses at some instants of the first kept run, and where each was "
+           "believed to be then.", track,
            kinds=("moving-block",)),
     Figure("trains", "Both trains under moving and fixed block",
            "Way of the leader's and the follower's nose in the first kept run.", draw_all=trains_over_time,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..statistics import mean_se, pooled_rmse
+from ..wording import metric_name
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import Cell
@@ -30,7 +31,7 @@ def accuracy_against_latency(cell: Cell) -> Canvas | None:
         last = row == len(columns) - 1
         panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x,
                       spanning(list(errors.values()), zero=True, margin=0.1), x_ticks=last,
-                      title=bracket(f"{metric.upper()} of {quantity}", unit),
+                      title=bracket(f"{metric_name(metric)} of {quantity}", unit),
                       x_label="latency of a step, median to 99 % [µs]" if last else "")
         for label in labels:
             if np.isfinite(errors[label]):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..statistics import finite
+from ..wording import metric_name
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas, text_width
 from .data import Array, Cell, Curve
@@ -91,7 +92,7 @@ def errors_per_run(cell: Cell) -> Canvas | None:
         x = spanning(*values.values())
         top = 14 + row * (each + 40)
         panel = Panel(canvas, left, top, WIDTH - left - RIGHT, each, x, spanning([0.0, 1.0], log=False), y_ticks=False,
-                      x_label=bracket(f"{metric.upper() if metric in ('rmse', 'mae') else metric} of {quantity}", unit))
+                      x_label=bracket(f"{metric_name(metric)} of {quantity}", unit))
         for place, label in enumerate(labels):
             y = top + 2 + step * (place + 0.5)
             _box(panel, values.get(label, np.zeros(0)), y, cell.styles[label].colour, label)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wording import some
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import Cell
 from .errors import LEFT, MOST, RIGHT, bracket
 
 POINTS = 260
+CROWDED_OUT = 12.0
+"""Errors this many times those of the best estimator leave the panel, which would show nothing else."""
 
 
 def thinned(length: int, most: int = POINTS) -> NDArray[np.intp]:
@@ -40,12 +43,17 @@ def example_run(cell: Cell) -> Canvas | None:
                       title=bracket(f"{name}, truth", unit), x_ticks=False)
         truth.line(longest.time[use], longest.truth[use] * factor, Style("ink"))
         errors = {label: (track.time, (track.estimate - track.truth) * factor) for label, track in tracks.items()}
-        panel = Panel(canvas, LEFT, top + above + gap, WIDTH - LEFT - RIGHT, below, x,
-                      spanning(*(error for _, error in errors.values()), log=False), x_ticks=name == names[-1],
-                      title=bracket(f"{name}, estimate − truth", unit), x_label="time [s]" if name == names[-1] else "")
+        largest = {label: float(np.nanmax(np.abs(error), initial=0.0)) for label, (_, error) in errors.items()}
+        most = CROWDED_OUT * min((size for size in largest.values() if size > 0), default=0.0)
+        off = [label for label, size in largest.items() if size > most]
+        y = spanning(*(error for label, (_, error) in errors.items() if label not in off), log=False)
+        panel = Panel(canvas, LEFT, top + above + gap, WIDTH - LEFT - RIGHT, below, x, y, x_ticks=name == names[-1],
+                      title=bracket(f"{name}, estimate − truth", unit) + (f"; off: {some(off, 2)}" if off else ""),
+                      x_label="time [s]" if name == names[-1] else "")
         for label, (time, error) in errors.items():
             use = thinned(len(time))
-            panel.line(time[use], error[use], cell.styles[label], width=0.8, title=label)
+            inside = np.where((error >= y.low) & (error <= y.high), error, np.nan)
+            panel.line(time[use], inside[use], cell.styles[label], width=0.8, title=label)
         top += above + below + 2 * gap
     legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
     return canvas

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...scenarios.moving_block_track import StadiumTrack
 from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import Array, Cell
 from .errors import LEFT, RIGHT
 from .example import thinned
 
-LEADER, FOLLOWER, TAG = Style("c0"), Style("c1", (), "square"), Style("muted", (), "diamond")
+LEADER, FOLLOWER, TAG, TRUE = Style("c0"), Style("c1", (), "square"), Style("muted", (), "diamond"), Style("ink")
+INSTANTS = 16
 
 
 def _shown(cell: Cell) -> str | None:
@@ -22,52 +24,45 @@ def _shown(cell: Cell) -> str | None:
 
 
 def track(cell: Cell) -> Canvas | None:
-    """The track from above with its tags; true ways of both trains' noses and where the encoder alone and a filter
-    believed the follower to be."""
-    label = _shown(cell)
-    if label is None or (label, "x-a") not in cell.kept:
+    """The track from above with its tags; at some instants where both trains' noses were, and where the encoder alone
+    and a filter, each in its own loop, believed them to be."""
+    names = dict.fromkeys(("dead-reckoning", _shown(cell) or ""))
+    labels = [name for name in names if (name, "estimate-x-b") in cell.kept]
+    if not labels:
         return None
-    others = [name for name in ("dead-reckoning", label) if (name, "estimate-x-b") in cell.kept]
-    x_true, y_true = cell.kept[label, "x-a"].truth * 100, cell.kept[label, "y-a"].truth * 100
-    good = np.isfinite(x_true)
-    entries = [("tag", TAG), *((f"follower, {name}", cell.styles[name]) for name in dict.fromkeys(others))]
+    entries = [("tag", TAG), ("true", TRUE), *((name, cell.styles[name]) for name in labels)]
     room = legend_height([name for name, _ in entries], WIDTH - 8)
     config = cell.setting.config
-    straight, radius = config.plant.track.straight * 100, config.plant.track.radius * 100
-    long_side, short_side = straight / 2 + radius + 8, radius + 8
+    way = StadiumTrack(config.plant.track.straight, config.plant.track.radius)
+    long_side, short_side = (way.half + way.radius) * 100 + 10, way.radius * 100 + 10
     width = WIDTH - LEFT - RIGHT
     height = width * short_side / long_side
     canvas = Canvas(14 + height + 26 + room, f"Track, {cell.key}")
     panel = Panel(canvas, LEFT, 14, width, height, Scale(-long_side, long_side), Scale(-short_side, short_side),
                   title="x [cm]", x_label="y [cm]")
-    outline = _stadium(straight, radius, np.linspace(0, 1, 200))
-    canvas.path(panel.points(outline[:, 1], outline[:, 0]), stroke="muted", width=0.8)
-    count = config.sensors.tags.count
-    for x, y in _stadium(straight, radius, (np.arange(count) + 0.5) / count):
-        at = panel.points([y], [x])[0]
-        draw_marker(canvas, at[0], at[1], TAG, 2.2, "tag")
-    for name in dict.fromkeys(others):
-        x, y = (cell.kept[name, f"estimate-{axis}-b"].truth * 100 for axis in "xy")
-        for k in thinned(int(np.isfinite(x).sum()), 60):
-            at = panel.points([y[k]], [x[k]])[0]
-            draw_marker(canvas, at[0], at[1], cell.styles[name], 1.3)
-    start = panel.points([y_true[good][0]], [x_true[good][0]])[0]
+
+    def at(s: Array) -> Array:
+        x, y, _ = way.points(s)
+        return panel.points(y * 100, x * 100)
+
+    canvas.path(at(np.linspace(0, way.length, 200)), stroke="muted", width=0.6)
+    for x, y in at(way.tags(config.sensors.tags.count)):
+        draw_marker(canvas, x, y, TAG, 2.2, "tag")
+    for name in labels:
+        for train in "ab":
+            true, believed = ([cell.kept[name, f"{kind}{axis}-{train}"].truth for axis in "yx"]
+                              for kind in ("", "estimate-"))
+            steps = np.flatnonzero(np.isfinite(true[0]))
+            steps = steps[thinned(len(steps), INSTANTS)]
+            was, thought = (panel.points(y[steps] * 100, x[steps] * 100) for y, x in (true, believed))
+            for here, there in zip(was, thought, strict=True):
+                canvas.path([here, there], stroke=cell.styles[name].colour, width=0.8)
+                draw_marker(canvas, here[0], here[1], TRUE, 1.2, "true")
+                draw_marker(canvas, there[0], there[1], cell.styles[name], 1.6, name)
+    start = at(np.zeros(1))[0]
     canvas.text(start[0] + 4, start[1] + 10, "start", size=7, colour="muted")
     legend(canvas, 4, canvas.height - room, WIDTH - 8, entries, markers=True)
     return canvas
-
-
-def _stadium(straight: float, radius: float, share: Array) -> Array:
-    """Points (n, 2) of the track at shares of its length, counter-clockwise from (radius, 0)."""
-    half, arc = straight / 2, np.pi * radius
-    s = np.asarray(share) * (2 * straight + 2 * arc)
-    first, second = (s - half) / radius, (s - 3 * half - arc) / radius
-    pieces = [s < half, s < half + arc, s < 3 * half + arc, s < 3 * half + 2 * arc]
-    x = np.select(pieces, [np.full_like(s, radius), radius * np.cos(first), np.full_like(s, -radius),
-                           -radius * np.cos(second)], radius)
-    y = np.select(pieces, [s, half + radius * np.sin(first), 2 * half + arc - s, -half - radius * np.sin(second)],
-                  s - 2 * straight - 2 * arc)
-    return np.column_stack([x, y])
 
 
 def trains_over_time(cells: Sequence[Cell]) -> Canvas | None:

@@ -14,7 +14,7 @@ from .. import statistics as st
 from ..figures.data import Cell
 from ..summary import metric_columns
 from ..verdicts import Judged, bound_check, column_values, nees_states
-from ..wording import change_interval, counted, number, percent, plus_minus, rough
+from ..wording import change_interval, counted, metric_name, number, percent, plus_minus, rough
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def table(cell: Cell) -> Table:
     columns: list[tuple[tuple[str, str], Callable[[str, pd.DataFrame], Entry]]] = []
     for _, metric, quantity, raw in cell.judged:
         unit, factor = cell.unit(metric, quantity, raw)
-        name = f"{quantity} {metric.upper() if metric in ('rmse', 'mae') else metric}"
+        name = f"{quantity} {metric_name(metric)}"
         found = cell.judgements[quantity]
         columns.append(((name, unit), lambda label, _, found=found, factor=factor: _error(found[label], factor)))
     for column, metric, quantity, raw in _outcomes(cell):
