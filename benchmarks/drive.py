@@ -26,11 +26,13 @@ Watch = Callable[[int, Estimate, Step], None]
 
 @dataclass(frozen=True)
 class Driven:
-    """Outcome of a drive. seconds: time inside the estimator; steps: how many steps were driven (all runs together)."""
+    """Outcome of a drive. seconds: time inside the estimator; scoring: time spent on scores and kept trajectories;
+    steps: how many steps were driven (all runs together)."""
 
     scored: Scored
     outcomes: dict[tuple[str, str, str], Array]
     seconds: float
+    scoring: float
     steps: int
     world: World
 
@@ -44,7 +46,18 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     scorer = Scorer(setting.quantities(), runs, world.steps, skip, dict(score.divergence), model.performance)
     windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), runs)
     before_update = score.at == "prediction" and estimator.predicts
-    seconds = 0.0
+    seconds = scoring = 0.0
+
+    def scored(k: int, estimate: Estimate, step: Step) -> float:
+        """Score an estimate; the seconds it took."""
+        begun = perf_counter()
+        scorer.add(k, estimate, step)
+        if k >= skip:
+            windows.add(estimate, step)
+        if watch:
+            watch(k, estimate, step)
+        return perf_counter() - begun
+
     begun = perf_counter()
     estimator.start(model, runs, random)
     estimate = estimator.estimate()
@@ -65,11 +78,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
             if before_update and number == last:
                 estimate = estimator.estimate()
                 seconds += perf_counter() - begun
-                scorer.add(k, estimate, step)
-                if k >= skip:
-                    windows.add(estimate, step)
-                if watch:
-                    watch(k, estimate, step)
+                scoring += scored(k, estimate, step)
                 begun = perf_counter()
             estimator.update(event.y, event.received)
         if not before_update or world.closed_loop:
@@ -77,24 +86,20 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
             mean = estimate.mean
         seconds += perf_counter() - begun
         if not before_update:
-            scorer.add(k, estimate, step)
-            if k >= skip:
-                windows.add(estimate, step)
-            if watch:
-                watch(k, estimate, step)
+            scoring += scored(k, estimate, step)
         driven += 1
         active += step.active
         for name, count in estimator.counters().items():
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)
         for name, value in estimator.extremes().items():
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
-    scored = scorer.finish(estimator.status, estimator.reason)
-    bad = scored.status != 0
-    outcomes = {**windows.finish(), **setting.outcomes(world, scored.metrics)}
+    found = scorer.finish(estimator.status, estimator.reason)
+    bad = found.status != 0
+    outcomes = {**windows.finish(), **setting.outcomes(world, found.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}
-    return Driven(scored, outcomes, seconds, driven, world)
+    return Driven(found, outcomes, seconds, scoring, driven, world)
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],

@@ -13,14 +13,18 @@ from numpy.typing import NDArray
 from ..estimators.interface import Estimate, Status
 from ..scenarios.setting import Quantity
 from ..scenarios.world import Step
-from .scoring_kernels import accumulate, accumulate_curves, add_errors, add_forms, add_partial, quadratic_forms
+from .scoring_kernels import score_errors, score_matrix, score_nees
 
 Array = NDArray[np.float64]
+EVERYTHING = np.zeros((0, 0), dtype=bool)
+CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
+
 
 @dataclass(frozen=True)
 class Scored:
     """What one estimator did on a batch: metrics {(metric, quantity): (S,)}, NaN where the run's status is not ok.
 
+    curves: by the names of `CURVES`, sums over runs of each step, (K, quantities) for the first three, else (K,).
     nees_states: degrees of freedom of the NEES (0: no covariance claimed)."""
 
     metrics: dict[tuple[str, str], Array]
@@ -46,13 +50,12 @@ class Scorer:
         n = len(quantities)
         self.totals, self.step = np.zeros((3, n, runs)), np.empty((4, n, runs))
         self.last, self.left_out = np.zeros((n, runs)), np.zeros((n, runs))
-        self.steps, self.form = np.zeros(runs), np.empty(runs)
+        self.steps, self.live, self.form = np.zeros(runs), np.empty(runs), np.empty(runs)
         self.good, self.lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
         self.nees, self.nees_steps = np.zeros(runs), np.zeros(runs)
         self.inside, self.ellipsoid_steps, self.half_width = np.zeros(runs), np.zeros(runs), np.zeros((n, runs))
         self.bound, self.bound_steps, self.performed = np.zeros(runs), np.zeros(runs), np.zeros(runs)
-        self.curves = {"active": np.zeros(steps), "nees": np.zeros(steps), "nees-count": np.zeros(steps),
-                       "squared": np.zeros((steps, n)), "fourth": np.zeros((steps, n)), "error": np.zeros((steps, n))}
+        self.curves = np.zeros((steps, len(CURVES), max(n, 1)))
         self.claimed: set[str] = set()
         self.estimated = max((part[0] for part in parts), default=-1) + 1
         self.nees_states = 0
@@ -63,29 +66,21 @@ class Scorer:
             return
         mean = np.ascontiguousarray(estimate.mean)
         vector = mean if estimate.parameter is None else np.concatenate([mean, estimate.parameter])
-        truth, curves = np.ascontiguousarray(step.truth), self.curves
+        truth, live, curve = np.ascontiguousarray(step.truth), self.live, self.curves[k]
         self.estimated = len(vector)
         if len(vector) < len(truth):  # a parameter that is not estimated: no error here, no metric in `finish`
             vector = np.concatenate([vector, truth[len(vector):]])
-        counted = step.active & self.good
-        live = counted.astype(float)
-        add_errors(vector, truth, live, self.index, self.weight, self.owner, self.share, self.limit, self.step)
-        self.good &= (live > 0) | ~counted
-        accumulate_curves(self.step, live, self.last, self.steps, curves["squared"][k], curves["fourth"][k],
-                          curves["error"][k], curves["active"][k:k + 1])
-        if step.scored is not None:
-            add_partial(vector, truth, live, np.ascontiguousarray(step.scored), self.index, self.weight, self.owner,
-                        self.share, self.step, self.left_out)
-        accumulate(self.step, live, self.totals)
+        scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
+        score_errors(vector, truth, step.active, scored, self.index, self.weight, self.owner, self.share, self.limit,
+                     self.good, live, self.step, self.totals, self.last, self.left_out, self.steps, curve)
         if estimate.covariance is not None:
-            self._quadratic(vector, truth, estimate.covariance, live)
-            add_forms(self.form, live, self.nees, self.nees_steps, curves["nees"][k:k + 1],
-                      curves["nees-count"][k:k + 1])
+            score_nees(vector, truth, np.ascontiguousarray(estimate.covariance), live, self.form, self.lost, self.nees,
+                       self.nees_steps, curve)
             self.claimed.add("nees")
             self.nees_states = estimate.covariance.shape[0]
         if estimate.ellipsoid is not None:
             n = estimate.ellipsoid.shape[0]
-            self._quadratic(vector, truth, estimate.ellipsoid, live)
+            score_matrix(vector, truth, np.ascontiguousarray(estimate.ellipsoid), live, self.form, self.lost)
             use = (live > 0) & ~np.isnan(self.form)
             self.inside += use & (self.form <= 1 + 1e-9)
             self.ellipsoid_steps += use
@@ -104,12 +99,6 @@ class Scorer:
             self.bound_steps += counted
             self.claimed.add("bound")
 
-    def _quadratic(self, vector: Array, truth: Array, matrix: Array, live: Array) -> None:
-        """self.form (S,) := e' M^-1 e; runs whose M is indefinite are noted."""
-        lost = np.zeros(len(live), dtype=bool)
-        quadratic_forms(vector, truth, np.ascontiguousarray(matrix), self.form, lost)
-        self.lost |= lost & (live > 0)
-
     def finish(self, status: NDArray[np.int8], reason: str) -> Scored:
         """The metrics per run. Runs the estimator itself gave up keep their status; then diverged, then lost ones."""
         status = status.copy()
@@ -122,8 +111,7 @@ class Scorer:
         metrics: dict[tuple[str, str], Array] = {}
         for q, item in enumerate(self.quantities):
             if any(i >= self.estimated for i, _ in item.components):
-                for name in ("squared", "fourth", "error"):
-                    self.curves[name][:, q] = np.nan
+                self.curves[:, :3, q] = np.nan
                 continue
             counted = steps - self.left_out[q] if item.mean else steps
             metrics["rmse", item.name] = np.sqrt(self.totals[0, q] / counted)
@@ -145,4 +133,6 @@ class Scorer:
         bad = status != Status.ok
         for values in metrics.values():
             values[bad] = np.nan
-        return Scored(metrics, status, reason, self.curves, self.nees_states)
+        n = len(self.quantities)
+        curves = {name: self.curves[:, c, :n] if c < 3 else self.curves[:, c, 0] for c, name in enumerate(CURVES)}
+        return Scored(metrics, status, reason, curves, self.nees_states)

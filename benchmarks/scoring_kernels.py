@@ -1,6 +1,7 @@
 """The compiled loops of scoring: errors into running sums, quadratic forms e' M^-1 e. Runs are innermost throughout.
 
-Scoring must cost little beside the filters it scores, so every loop over runs is one the compiler vectorises."""
+Scoring must cost little beside the filters it scores: a step is one call for the errors and one for each claimed
+matrix, and every loop over runs is one the compiler vectorises."""
 
 from __future__ import annotations
 
@@ -23,6 +24,43 @@ def lane_sum(values):
     for s in range(whole, values.shape[0]):
         total += values[s]
     return total
+
+
+@kernel
+def score_errors(vector, truth, active, scored, index, weight, owner, share, limit, good, live, step, totals, last,
+                 left_out, steps, curve):
+    """Take up one step's errors of the runs that are active (S,) and good (S,), which live (S,) 1.0 or 0.0 tells
+    afterwards; a run whose error is not finite or above its limit is good no longer.
+
+    vector, truth (>= nt, S); scored (nt, S), or (0, 0): all elements count. step (4, nq, S) is work space. totals
+    (3, nq, S), last (nq, S), left_out (nq, S), steps (S,) as in the functions below; curve (6, nq or more) of this
+    step: sums over runs of squares, their squares, errors, and the number of runs in [3, 0]."""
+    for s in range(live.shape[0]):
+        live[s] = 1.0 if active[s] and good[s] else 0.0
+    add_errors(vector, truth, live, index, weight, owner, share, limit, step)
+    for s in range(live.shape[0]):
+        good[s] = good[s] and (live[s] > 0.0 or not active[s])
+    accumulate_curves(step, live, last, steps, curve)
+    if scored.shape[0]:
+        add_partial(vector, truth, live, scored, index, weight, owner, share, step, left_out)
+    accumulate(step, live, totals)
+
+
+@kernel
+def score_matrix(vector, truth, matrix, live, form, lost):
+    """form (S,) := e' M^-1 e, see `quadratic_forms`; lost (S,) is set where a live run's M is indefinite."""
+    failed = np.empty(live.shape[0], np.bool_)
+    quadratic_forms(vector, truth, matrix, form, failed)
+    for s in range(live.shape[0]):
+        lost[s] |= failed[s] and live[s] > 0.0
+
+
+@kernel
+def score_nees(vector, truth, matrix, live, form, lost, total, count, curve):
+    """`score_matrix` of a covariance, taken up by total, count (S,) and curve (6, ..) of this step: the sum over runs
+    in [4, 0], their number in [5, 0]."""
+    score_matrix(vector, truth, matrix, live, form, lost)
+    add_forms(form, live, total, count, curve[4], curve[5])
 
 
 @kernel
@@ -86,24 +124,25 @@ def accumulate(step, live, totals):
 
 
 @kernel
-def accumulate_curves(step, live, last, steps, curve_squared, curve_fourth, curve_error, curve_count):
-    """The sums over runs of this step, (nq,) each and (1,); last (nq, S) := the signed error, steps (S,) += 1."""
+def accumulate_curves(step, live, last, steps, curve):
+    """curve (>= 4, nq) takes up the sums over runs of this step: squares, their squares, errors, and the number of runs
+    in [3, 0]; last (nq, S) := the signed error, steps (S,) += 1."""
     value, fourth = np.empty_like(live), np.empty_like(live)
     for q in range(step.shape[1]):
         for s in range(live.shape[0]):
             on = live[s] > 0.0
             value[s] = step[0, q, s] if on else 0.0
             fourth[s] = value[s] * value[s]
-        curve_squared[q] += lane_sum(value)
-        curve_fourth[q] += lane_sum(fourth)
+        curve[0, q] += lane_sum(value)
+        curve[1, q] += lane_sum(fourth)
         for s in range(live.shape[0]):
             on = live[s] > 0.0
             value[s] = step[2, q, s] if on else 0.0
             last[q, s] = value[s] if on else last[q, s]
-        curve_error[q] += lane_sum(value)
+        curve[2, q] += lane_sum(value)
     for s in range(live.shape[0]):
         steps[s] += live[s]
-    curve_count[0] += lane_sum(live)
+    curve[3, 0] += lane_sum(live)
 
 
 @kernel
@@ -150,7 +189,8 @@ def quadratic_forms(vector, truth, matrix, out, lost):
 
 @kernel
 def add_forms(form, live, total, count, curve, curve_count):
-    """total, count (S,) take up form (S,) where live and not NaN; curve, curve_count (1,) its sum over runs."""
+    """total, count (S,) take up form (S,) where live and not NaN; curve[0] its sum over runs, curve_count[0] their
+    number."""
     value, ones = np.empty_like(live), np.empty_like(live)
     for s in range(live.shape[0]):
         on = live[s] > 0.0 and form[s] == form[s]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +28,22 @@ def cell_of(name: str, label: str, overrides: dict[str, Any] | None = None) -> C
     return make_plan([name], only=[label], overrides=overrides).cells[0]
 
 
-def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> tuple[float, float, Array]:
-    """(ns per run-step inside the estimator, share of the drive's time that is not the estimator's, final means).
+class Ours(NamedTuple):
+    """Medians over some drives, in ns per run-step: inside the estimator, scoring it, and the runner's own. means: the
+    estimates at the end (nx, runs)."""
 
-    Medians over `repeats` drives after a warm-up. The truth is simulated beforehand and not counted."""
+    estimator: float
+    scoring: float
+    runner: float
+    means: Array
+
+
+def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> Ours:
+    """Measure `repeats` drives after a warm-up. The truth is simulated beforehand and not counted."""
     setting, entry = cell.setting(), cell.entries[label]
     world = setting.world(Streams(1, cell.scenario, cell.variant, range(runs)))
     short = FirstSteps(world, steps)
-    inside, overhead, last = [], [], np.empty((0, runs))
+    parts, last = [], np.empty((0, runs))
     for repeat in range(repeats + 1):
         estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
                                    world.initial_mean)
@@ -45,10 +53,11 @@ def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> tuple[f
         driven = drive(setting, short, estimator, model, random)
         total = perf_counter() - begun
         if repeat:
-            inside.append(1e9 * driven.seconds / (driven.steps * runs))
-            overhead.append(1 - driven.seconds / total)
+            parts.append(1e9 / (driven.steps * runs) * np.array(
+                [driven.seconds, driven.scoring, total - driven.seconds - driven.scoring]))
         last = estimator.estimate().mean.copy()
-    return float(np.median(inside)), float(np.median(overhead)), last
+    estimator, scoring, runner = (float(value) for value in np.median(parts, axis=0))
+    return Ours(estimator, scoring, runner, last)
 
 
 def peer(loop: Callable[[], tuple[int, Array]], repeats: int) -> tuple[float, Array]:

@@ -18,7 +18,7 @@ def compare(repeats: int) -> list[Row]:
     setting = cell.setting()
     rows = []
     for runs in (100, 1000):
-        mine, _, means = ours(cell, "kalman", runs, STEPS, repeats)
+        mine, _, _, means = ours(cell, "kalman", runs, STEPS, repeats)
         world = recorded(cell, runs)
         model = setting.design_model(cell.entries["kalman"].knowledge, world.initial_mean)
         linear = model.linear

@@ -25,8 +25,8 @@ def compare(repeats: int) -> list[Row]:
         theirs, last = peer(_Loop(cell, label).run, 1)
         for form in ("factorised", "full"):
             here = with_form(cell, label, form)
-            mine, _, _ = ours(here, label, RUNS, STEPS, repeats)
-            same = ours(here, label, 1, PEER_STEPS, 1)[2]
+            mine = ours(here, label, RUNS, STEPS, repeats).estimator
+            same = ours(here, label, 1, PEER_STEPS, 1).means
             rows.append(line(f"{label}, {form}", RUNS, mine, "numpy loop over particles", theirs,
                              float(np.abs(same[:, 0] - last).max())))
     return rows

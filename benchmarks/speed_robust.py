@@ -20,9 +20,9 @@ def compare(repeats: int) -> list[Row]:
         entry = cell.entries[label]
         convex = Cell(cell.scenario, cell.variant, cell.where, cell.table, {label: entry.model_copy(
             update={"parameters": {**entry.parameters, "solver": "cvxpy"}})})
-        mine, _, _ = ours(cell, label, RUNS, STEPS, repeats)
-        short = ours(cell, label, 1, PEER_STEPS, 1)[2]
-        theirs, _, last = ours(convex, label, 1, PEER_STEPS, 1)
+        mine = ours(cell, label, RUNS, STEPS, repeats).estimator
+        short = ours(cell, label, 1, PEER_STEPS, 1).means
+        theirs, _, _, last = ours(convex, label, 1, PEER_STEPS, 1)
         rows.append(line(label, RUNS, mine, "cvxpy, Clarabel", theirs, float(np.abs(short - last).max())))
     return rows
 
