@@ -232,58 +232,56 @@ def _trajectory(task: Task, label: str, run: int, setting: Setting[Any], steps: 
 
 
 class _Keeper:
-    """Watches a drive and keeps whole trajectories of the first runs: each component of the truth vector, its
-    estimate and claimed standard deviation, the trace of the covariance, and particle diversity."""
+    """Watches a drive and keeps whole trajectories of the first runs: each scored quantity of the truth, its estimate
+    and claimed standard deviation, the trace of the covariance, and particle diversity."""
 
     def __init__(self, setting: Setting[Any], task: Task, label: str, runs: tuple[int, ...]) -> None:
         self.setting, self.task, self.label, self.runs = setting, task, label, runs
         self.positions = [p for p, run in enumerate(runs) if run < task.keep]
         self.wanted = bool(self.positions)
-        self.steps: list[int] = []
-        self.seen: list[dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]] = []
+        self.seen: dict[str, list[np.ndarray]] = {}
 
     def __call__(self, k: int, estimate: Estimate, step: Step) -> None:
         take = self.positions
         mean = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
-        nan = np.full(len(take), np.nan)
-        row: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        row = {"step": np.array(k), "truth": step.truth[:, take],
+               "mean": np.where(step.active[take], mean[:, take], np.nan)}
+        for name, matrix in (("covariance", estimate.covariance), ("ellipsoid", estimate.ellipsoid)):
+            if matrix is not None:
+                diagonal = np.einsum("iis->is", matrix)
+                row[name] = diagonal[:, take] if matrix.shape[2] > 1 else np.repeat(diagonal, len(take), axis=1)
+        if estimate.diversity is not None:
+            row["diversity"] = estimate.diversity[take].astype(float)
+        for name, values in row.items():
+            self.seen.setdefault(name, []).append(values)
+
+    def tables(self) -> list[pa.Table]:
+        """One table per kept run and name; all parts (K, kept runs)."""
+        if not self.seen:
+            return []
+        seen = {name: np.array(values) for name, values in self.seen.items()}
+        mean, truth = seen["mean"], seen["truth"]
+        claimed = seen.get("covariance", seen.get("ellipsoid", np.empty((0, 0, 0))))
+        columns: dict[str, tuple[np.ndarray, ...]] = {}
         for item in self.setting.quantities():
-            if any(i >= len(mean) for i, _ in item.components):
+            if any(i >= mean.shape[1] for i, _ in item.components):
                 continue  # a parameter that is not estimated
             if len(item.components) == 1:
                 i, weight = item.components[0]
-                sd = nan
-                for matrix in (estimate.covariance, estimate.ellipsoid):
-                    if matrix is not None and i < matrix.shape[0]:
-                        variance = np.broadcast_to(matrix[i, i], mean.shape[1:])[take]
-                        sd = weight * np.sqrt(np.maximum(variance, 0))
-                        break
-                shown = np.where(step.active[take], weight * mean[i, take], np.nan)
-                row[item.name] = (weight * step.truth[i, take], shown, sd)
+                sd = [weight * np.sqrt(np.maximum(claimed[:, i], 0))] if i < claimed.shape[1] else []
+                columns[item.name] = (weight * truth[:, i], weight * mean[:, i], *sd)
             else:
-                error = sum((w * (mean[i, take] - step.truth[i, take])) ** 2 for i, w in item.components)
-                row[item.name] = (nan, np.sqrt(np.asarray(error) / (len(item.components) if item.mean else 1)), nan)
-        if estimate.covariance is not None:
-            trace = np.broadcast_to(np.trace(estimate.covariance), mean.shape[1:])[take]
-            row["trace-covariance"] = (nan, trace.copy(), nan)
-        if estimate.diversity is not None:
-            row["diversity"] = (nan, estimate.diversity[take].astype(float), nan)
-        self.steps.append(k)
-        self.seen.append(row)
-
-    def tables(self) -> list[pa.Table]:
-        if not self.seen:
-            return []
-        steps = np.array(self.steps)
-        names = dict.fromkeys(name for row in self.seen for name in row)
-        nan = np.full(len(self.positions), np.nan)
-        out = []
-        for name in names:
-            columns = [np.array(part) for part in zip(*(row.get(name, (nan,) * 3) for row in self.seen), strict=True)]
-            for n, position in enumerate(self.positions):
-                out.append(_trajectory(self.task, self.label, self.runs[position], self.setting, steps, name,
-                                       *(column[:, n] for column in columns)))
-        return out
+                which, weights = (np.array(part) for part in zip(*item.components, strict=True))
+                squared = (weights[:, None] * (mean[:, which] - truth[:, which])) ** 2
+                error = np.sqrt(squared.mean(axis=1) if item.mean else squared.sum(axis=1))
+                columns[item.name] = (np.full_like(error, np.nan), error)
+        for name, values in (("trace-covariance", seen.get("covariance", np.empty((0, 0, 0))).sum(axis=1)),
+                             ("diversity", seen.get("diversity", np.empty((0, 0))))):
+            if len(values):
+                columns[name] = (np.full_like(values, np.nan), values)
+        return [_trajectory(self.task, self.label, self.runs[position], self.setting, seen["step"], name,
+                            *(part[:, n] for part in parts))
+                for name, parts in columns.items() for n, position in enumerate(self.positions)]
 
     def extras(self, world: World) -> list[pa.Table]:
         """A closed-loop world's own figures data, which belong to this estimator."""

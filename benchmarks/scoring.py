@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..estimators.interface import Estimate, Status
 from ..scenarios.setting import Quantity
 from ..scenarios.world import Step
-from .scoring_kernels import score_errors, score_matrix, score_nees
+from .scoring_kernels import score_bound, score_errors, score_matrix, score_nees
 
 Array = NDArray[np.float64]
 EVERYTHING = np.zeros((0, 0), dtype=bool)
@@ -39,7 +39,8 @@ class Scorer:
 
     def __init__(self, quantities: Sequence[Quantity], runs: int, steps: int, skip_steps: int,
                  limits: dict[str, float], performance: Array | None) -> None:
-        self.quantities, self.skip, self.performance = tuple(quantities), skip_steps, performance
+        self.quantities, self.skip = tuple(quantities), skip_steps
+        self.performance = None if performance is None else np.ascontiguousarray(performance)
         parts = [(i, w, q, 1 / len(item.components) if item.mean else 1.0)
                  for q, item in enumerate(quantities) for i, w in item.components]
         self.index = np.array([part[0] for part in parts])
@@ -89,14 +90,8 @@ class Scorer:
                     self.half_width[q] += np.where(use, f * np.sqrt(w * w * np.maximum(estimate.ellipsoid[i, i], 0)), 0)
             self.claimed.add("ellipsoid")
         if estimate.bound is not None and self.performance is not None:
-            n = self.performance.shape[1]
-            error, counted = vector[:n] - truth[:n], live > 0
-            z = np.zeros(len(self.steps))
-            for row in self.performance:
-                z += sum((row[j] * error[j] for j in np.flatnonzero(row)), start=np.zeros_like(z)) ** 2
-            self.bound += np.where(counted, estimate.bound, 0.0)
-            self.performed += np.where(counted, z, 0.0)
-            self.bound_steps += counted
+            score_bound(vector, truth, self.performance, np.ascontiguousarray(estimate.bound), live, self.bound,
+                        self.performed, self.bound_steps)
             self.claimed.add("bound")
 
     def finish(self, status: NDArray[np.int8], reason: str) -> Scored:

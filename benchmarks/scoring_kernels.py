@@ -64,6 +64,26 @@ def score_nees(vector, truth, matrix, live, form, lost, total, count, curve):
 
 
 @kernel
+def score_bound(vector, truth, performance, bound, live, certified, performed, steps):
+    """Of live runs, certified (S,) takes up the bound (S or 1,), performed (S,) the square |M e|^2 of the performance
+    M (nz, nx), steps (S,) one."""
+    runs = live.shape[0]
+    z = np.empty(runs)
+    for s in range(runs):
+        certified[s] += live[s] * bound[0 if bound.shape[0] == 1 else s]
+        steps[s] += live[s]
+    for i in range(performance.shape[0]):
+        z[:] = 0.0
+        for j in range(performance.shape[1]):
+            weight = performance[i, j]
+            if weight != 0.0:
+                for s in range(runs):
+                    z[s] += weight * (vector[j, s] - truth[j, s])
+        for s in range(runs):
+            performed[s] += z[s] * z[s] if live[s] > 0.0 else 0.0
+
+
+@kernel
 def add_errors(vector, truth, live, index, weight, owner, share, limit, step):
     """step[0..2, q] (3, nq, S) := this step's squared, absolute and signed error of each quantity; step[3, q] its
     largest component. live (S,) 1.0 or 0.0 becomes 0.0 where an error is not finite or above its limit.
