@@ -159,8 +159,7 @@ class _Isolation:
         """Kill the process, whatever it is doing."""
         if self._pool is not None:
             for process in list((getattr(self._pool, "_processes", None) or {}).values()):
-                if process.is_alive():
-                    os.kill(process.pid, signal.SIGKILL)
+                process.kill()
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
 
