@@ -13,6 +13,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from .wording import numeric
+
 WIDE = 400
 """Columns assumed where the output is a file or a pipe, so that no table is cut."""
 
@@ -30,10 +32,10 @@ def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = (), to: 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in frame.columns:
         values = [str(value) for value in frame[column]]
-        numeric = all(value[:1] in "0123456789-+." or not value for value in values)
-        head = escape(str(column)).replace(" ", "\n") if numeric else escape(str(column))
-        table.add_column(head, justify="right" if numeric else "left", overflow="fold", no_wrap=numeric,
-                         min_width=None if numeric else min(24, max(map(len, [*values, str(column)]), default=0)))
+        right = numeric(values)
+        head = escape(str(column)).replace(" ", "\n") if right else escape(str(column))
+        table.add_column(head, justify="right" if right else "left", overflow="fold", no_wrap=right,
+                         min_width=None if right else min(24, max(map(len, [*values, str(column)]), default=0)))
     for row in frame.itertuples(index=False):
         table.add_row(*("" if pd.isna(value) else escape(str(value)) for value in row))
     out.print(table)

@@ -92,6 +92,11 @@ def rap_condition(book: Book, sigma: float, m: int) -> Value:
     return float(_rap_bounds().check(float(sigma), int(m)).least.min()), 0.0
 
 
+def rap_term(book: Book, sigma: float, m: int, lag: int, i: int) -> Value:
+    """Greatest value over k, with full windows, of entry (i, i) of a term of (30)."""
+    return float(_rap_bounds().terms(float(sigma), int(m))[lag, int(m):, i, i].max()), 0.0
+
+
 BRAKING = ("braking-rate", "paper")
 
 
@@ -155,6 +160,7 @@ COMPUTATIONS: dict[str, Computation] = {
     "rap_constant": Computation(rap_constant),
     "rap_mu": Computation(rap_mu),
     "rap_condition": Computation(rap_condition),
+    "rap_term": Computation(rap_term),
     "braking_gain": Computation(braking_gain, lambda quantity, better, worse: _braking(better, worse)),
     "work_ratio": Computation(work_ratio, _braking),
     "gap_reduction": Computation(gap_reduction, lambda: [("moving-block", variant, "ukf")

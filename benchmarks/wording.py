@@ -96,6 +96,11 @@ def _bare(relative: float) -> str:
     return "0.0" if text == "-0.0" else text.replace("-", "−")
 
 
+def numeric(values: Sequence[object]) -> bool:
+    """Whether a table's column of texts holds numbers (or nothing), and so is set to the right."""
+    return all(str(value)[:1] in "0123456789-−+.∞–" for value in values)
+
+
 def metric_name(metric: str) -> str:
     """A metric as tables and figures call it: abbreviations in capitals."""
     return metric.upper() if metric in ("rmse", "mae") else metric

@@ -96,7 +96,7 @@ class CovarianceBounds:
         m >= horizon, sigma <= 0."""
         if sigma <= 0 or not 1 <= m < self.horizon:
             raise ValueError(f"needs sigma > 0 and m = 1 .. {self.horizon - 1}; got sigma = {sigma:g}, m = {m}")
-        least = np.linalg.eigvalsh(self._windows(sigma, m)[m:])[:, 0]
+        least = np.linalg.eigvalsh(self.terms(sigma, m).sum(axis=0)[m:])[:, 0]
         return Condition(sigma, m, np.arange(m, self.horizon), least, least >= 1 / sigma,
                          bool(self.mu[:m + 1].max() <= sigma))
 
@@ -122,18 +122,19 @@ class CovarianceBounds:
         m = min(m_max, self.horizon - 1, len(admitted) - 1)
         return m >= 1 and self.check(sigma, m).verified
 
-    def _windows(self, sigma: float, m: int) -> Array:
-        """Left side of (30) at each k = 0 .. horizon - 1 (entries below m have no full window), (horizon, nx, nx)."""
-        terms = self._information(sigma)
+    def terms(self, sigma: float, m: int) -> Array:
+        """The m + 1 terms of (30)'s left side at each k = 0 .. horizon - 1, those of i = k + 1, k, .., in this order,
+        (m + 1, horizon, nx, nx); zero where i would be below 1. Their sum is the left side for k >= m."""
         if self.lower > 0 and self.a_low > 0:
             gamma = 1 / (1 + self.q_high / (self.a_low * self.lower))
             back = np.linalg.inv(self.A)
         else:
             gamma, back = 0.0, np.zeros_like(self.A)
-        sums = terms.copy()
-        for _ in range(m):
-            sums[1:] = terms[1:] + gamma * (_turned(back[1:]) @ sums[:-1] @ back[1:])
-        return sums
+        out = np.zeros((m + 1, *self.A.shape))
+        out[0] = self._information(sigma)
+        for lag in range(1, m + 1):
+            out[lag, 1:] = gamma * (_turned(back[1:]) @ out[lag - 1, :-1] @ back[1:])
+        return out
 
     def _information(self, sigma: float) -> Array:
         """C' Phi (sigma a_high c_hat (1 - p_low)^2 I + Theta)^-1 Phi C of the measurements 1 .. horizon."""

@@ -47,7 +47,8 @@ def test_files_and_their_columns(railstate: Command) -> None:
     line = summary.query("variant == 'rough' and metric == 'rmse' and quantity == 'position'").iloc[0]
     assert line["mean"] == pytest.approx(np.sqrt(np.mean(part**2)), rel=1e-12) and line["runs"] == 12
     assert (out / "tables" / "cart~calm.md").read_text().startswith("## cart/calm")
-    assert r"\toprule" in (out / "tables" / "cart~calm.tex").read_text()
+    tex = (out / "tables" / "cart~calm.tex").read_text()
+    assert r"\toprule" in tex and tex.isascii()
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["finished"] and manifest["statuses"] == {"ok": 24}
     kept = Store(out).trajectories()
