@@ -26,16 +26,16 @@ CLAIMS = tuple(item.name for item in fields(Estimate))
 @dataclass(frozen=True)
 class Record:
     """What an estimator said while a tape was fed: its estimate at the start and after each prediction and update (in
-    words: `when`), and status (S,), reason at the end."""
+    words: `when`), and status (S,), reasons at the end."""
 
     estimates: list[Estimate]
     when: list[str]
     status: NDArray[np.int8]
-    reason: str
+    reasons: dict[int, str]
 
     def first(self, events: int) -> Record:
         """The part before the end of `events` events."""
-        return Record(self.estimates[:1 + 2 * events], self.when[:1 + 2 * events], self.status, self.reason)
+        return Record(self.estimates[:1 + 2 * events], self.when[:1 + 2 * events], self.status, self.reasons)
 
     def of(self, which: list[int]) -> Record:
         """The part of some runs."""
@@ -43,7 +43,8 @@ class Record:
             return value if value is None or value.shape[-1] == 1 else value[..., which]
 
         return Record([Estimate(*(take(getattr(e, name)) for name in CLAIMS)) for e in self.estimates],  # pyright: ignore
-                      self.when, self.status[which], self.reason)
+                      self.when, self.status[which], {place: self.reasons[run] for place, run in enumerate(which)
+                                                      if run in self.reasons})
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | 
                 estimator.update(tape.y[e], tape.received[e])
             estimates.append(_copied(estimator.estimate()))
             when.append(f"after the measurement of event {e}")
-    return Record(estimates, when, np.array(estimator.status), estimator.reason)
+    return Record(estimates, when, np.array(estimator.status), dict(estimator.reasons))
 
 
 def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scenario: str = "") -> Report:

@@ -158,8 +158,9 @@ def _statuses(trial: Trial) -> str | None:
     found = _unflagged(record)
     if found:
         return found
-    if record.status.any() and not record.reason:
-        return f"statuses are {record.status.tolist()}, but reason is empty"
+    silent = [run for run in np.flatnonzero(record.status).tolist() if not record.reasons.get(run)]
+    if silent:
+        return f"statuses are {record.status.tolist()}, but reasons says nothing of run {silent[0]}"
     tape = trial.case.tape
     half = len(tape.portions) // 2
     received = tape.received.copy()
@@ -192,7 +193,7 @@ def _parts(trial: Trial) -> str | None:
     except Unsupported:
         return None
     for e, portion in enumerate(portions):
-        before, after = (Record(record.estimates[i:i + 1], record.when[i:i + 1], record.status, "")
+        before, after = (Record(record.estimates[i:i + 1], record.when[i:i + 1], record.status, {})
                          for i in (2 * e, 2 * e + 2))
         rest = [run for run in range(runs) if portion[run] == 0.0]
         found = difference(after.of(rest), before, rest, statuses=False)

@@ -93,7 +93,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)
         for name, value in estimator.extremes().items():
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
-    found = scorer.finish(estimator.status, estimator.reason)
+    found = scorer.finish(estimator.status, estimator.reasons)
     bad = found.status != 0
     outcomes = {**windows.finish(), **setting.outcomes(world, found.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})

@@ -145,8 +145,7 @@ class _Block:
     def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
         units = {item.name: item.unit for item in self.setting.quantities()}
         scored = driven.scored
-        reason = [scored.reason if status else "" for status in scored.status]
-        columns = {**self._columns(runs), "status": [Status(s).name for s in scored.status], "reason": reason,
+        columns = {**self._columns(runs), "status": [Status(s).name for s in scored.status], "reason": scored.reasons,
                    "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
                    "steps": pa.array([driven.steps] * len(runs), pa.int32()),
                    "nees_states": pa.array([scored.nees_states] * len(runs), pa.int32())}

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from ..estimators.interface import Estimator
 from ..estimators.registry import estimator_class, estimators, load_file, source_hash
 from ..scenarios.errors import InputError
 from ..scenarios.files import Scenario, describe, load
@@ -168,14 +169,20 @@ def _cell(scenario: Scenario, variant: str, only: Sequence[str], loose: Sequence
             entries.setdefault(name, EstimatorEntry(plugin=name))
     for label, entry in entries.items():
         cls = estimator_class(entry.plugin, f"{scenario.where}: estimators.{label}.plugin")
-        try:
-            cls.Parameters.model_validate(entry.parameters)
-        except ValidationError as error:
-            lines = describe(error, f"estimators.{label}.parameters")
-            allowed = ", ".join(cls.Parameters.model_fields) or "none"
-            raise InputError("\n".join(f"{scenario.where}: {line}; parameters of {entry.plugin}: {allowed}"
-                                       for line in lines)) from None
+        entries[label] = entry.model_copy(update={"parameters": checked_parameters(
+            cls, entry.parameters, f"{scenario.where}: estimators.{label}.parameters")})
     return Cell(scenario.name, variant, scenario.where, scenario.variants[variant], entries) if entries else None
+
+
+def checked_parameters(cls: type[Estimator], given: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """An estimator's parameters as plain data, what a file holds in place of its name. Raises InputError naming the
+    field and what is allowed."""
+    try:
+        return cls.Parameters.model_validate(dict(given)).model_dump(mode="json", exclude_unset=True)
+    except ValidationError as error:
+        allowed = ", ".join(cls.Parameters.model_fields) or "none"
+        raise InputError("\n".join(f"{where}.{line.removeprefix('.')}; allowed: {allowed}"
+                                   for line in describe(error))) from None
 
 
 def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:

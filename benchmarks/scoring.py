@@ -4,7 +4,7 @@ Nothing here grows with the number of steps but the curves, and nothing grows wi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,14 +22,15 @@ CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
 
 @dataclass(frozen=True)
 class Scored:
-    """What one estimator did on a batch: metrics {(metric, quantity): (S,)}, NaN where the run's status is not ok.
+    """What one estimator did on a batch: metrics {(metric, quantity): (S,)}, NaN where the run's status is not ok, and
+    the reasons (S,) of those that are not.
 
     curves: by the names of `CURVES`, sums over runs of each step, (K, quantities) for the first three, else (K,).
     nees_states: degrees of freedom of the NEES (0: no covariance claimed)."""
 
     metrics: dict[tuple[str, str], Array]
     status: NDArray[np.int8]
-    reason: str
+    reasons: list[str]
     curves: dict[str, Array]
     nees_states: int
 
@@ -94,14 +95,16 @@ class Scorer:
                         self.performed, self.bound_steps)
             self.claimed.add("bound")
 
-    def finish(self, status: NDArray[np.int8], reason: str) -> Scored:
-        """The metrics per run. Runs the estimator itself gave up keep their status; then diverged, then lost ones."""
+    def finish(self, status: NDArray[np.int8], reasons: Mapping[int, str]) -> Scored:
+        """The metrics per run. Runs the estimator itself gave up keep their status and reason (by place in the batch);
+        then diverged, then lost ones."""
         status = status.copy()
+        told = [reasons.get(run, "") if bad else "" for run, bad in enumerate(status)]
         for bad, value, why in ((~self.good, Status.diverged, "the error left its limit or was not finite"),
                                 (self.lost, Status.failed, "the covariance lost positive definiteness")):
             new = bad & (status == Status.ok)
             status[new] = value
-            reason = reason or (why if new.any() else "")
+            told = [why if is_new else text for text, is_new in zip(told, new, strict=True)]
         steps = np.where(self.steps > 0, self.steps, np.nan)
         metrics: dict[tuple[str, str], Array] = {}
         for q, item in enumerate(self.quantities):
@@ -130,4 +133,4 @@ class Scorer:
             values[bad] = np.nan
         n = len(self.quantities)
         curves = {name: self.curves[:, c, :n] if c < 3 else self.curves[:, c, 0] for c, name in enumerate(CURVES)}
-        return Scored(metrics, status, reason, curves, self.nees_states)
+        return Scored(metrics, status, told, curves, self.nees_states)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..scenarios.errors import Unsupported
 from ..scenarios.model import DesignModel, Portion
 from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Estimator, Mask, Status
+from .interface import Array, Estimate, Estimator, Mask, Status, flag
 
 Indices = NDArray[np.intp]
 
@@ -130,8 +130,7 @@ class PerRun(Estimator):
             if self._covariance is not None:
                 self._covariance[:, :, run] = covariance
         except Exception as error:
-            self.status[run] = Status.failed
-            self.reason = self.reason or f"{type(error).__name__}: {error}"
+            flag(self, np.arange(self.runs) == run, Status.failed, f"{type(error).__name__}: {error}")
             self._mean[:, run] = np.nan
             if self._covariance is not None:
                 self._covariance[:, :, run] = np.nan
@@ -142,8 +141,9 @@ class PerRunStep(PerRun):
     covariance) with claims = ("covariance",).
 
     step is called once per measurement: y (ny,) with NaN where nothing was received, u (nu,) the input since the last
-    call, None for a measurement without a step before it. Whole steps only, and the estimate is always the one after
-    the latest measurement: scenarios with part steps raise Unsupported."""
+    call, None for a measurement without a step before it. Whole steps only: scenarios with part steps raise
+    Unsupported. Between a step and its measurement the estimate is the design model's prediction from the last one, so
+    that scenarios which score predictions score one; the covariance needs the model's Jacobian and Q."""
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
@@ -154,6 +154,12 @@ class PerRunStep(PerRun):
             raise Unsupported(f"{type(self).__name__} takes whole steps with a measurement each; this scenario has "
                               "part steps: write it as predict and update (PerRun) instead")
         self._input = u
+        for run in np.flatnonzero(self.status == Status.ok).tolist():
+            model, mean = self.models[run], self._mean[:, run].copy()
+            self._mean[:, run] = model.f(mean, u[:, run])
+            if self._covariance is not None:
+                F = model.F(mean, u[:, run])
+                self._covariance[:, :, run] = F @ self._covariance[:, :, run] @ F.T + model.Q(mean, u[:, run])
 
     def update(self, y: Array, received: Mask) -> None:
         for run in range(self.runs):

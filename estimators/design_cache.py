@@ -28,7 +28,8 @@ def folder() -> Path:
     """Where designs are kept: RAILSTATE_CACHE, else the user's cache folder (XDG_CACHE_HOME, else ~/.cache)."""
     if own := os.environ.get("RAILSTATE_CACHE"):
         return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "railstate"
+    # expanduser leaves "~" where there is no home: writing there fails, or stays in the present folder
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "railstate"
 
 
 def remember(inputs: Any, design: Callable[[], dict[str, Any]]) -> Cached:

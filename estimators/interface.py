@@ -66,9 +66,9 @@ class Estimator(ABC):
     predicts: False for what is no prediction at all (a measurement at hand): scored after the update of its step even
     where the scenario scores predictions.
 
-    status (S,) of `Status` values and `reason`: an estimator that notices that a run has gone wrong (covariance no
-    longer positive definite, all weights zero) sets status[s], keeps its numbers finite or NaN for that run only, and
-    gives the reason; it raises nothing. A design problem without solution raises `Infeasible` in `design`."""
+    status (S,) of `Status` values and `reasons` by run: an estimator that notices that a run has gone wrong (covariance
+    no longer positive definite, all weights zero) calls `flag`, keeps its numbers finite or NaN for that run only, and
+    raises nothing. A design problem without solution raises `Infeasible` in `design`."""
 
     Parameters: ClassVar[type[Parameters]] = Parameters
     summary: ClassVar[str] = ""
@@ -79,7 +79,7 @@ class Estimator(ABC):
     predicts: ClassVar[bool] = True
 
     status: NDArray[np.int8]
-    reason: str = ""
+    reasons: dict[int, str]
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
         """parameters: as in the scenario file. Raises pydantic's ValidationError naming the field."""
@@ -109,6 +109,7 @@ class Estimator(ABC):
         self.model = model
         self.runs = runs
         self.status = np.zeros(runs, dtype=np.int8)
+        self.reasons = {}
 
     def reveal(self, truth: Array) -> None:
         """Oracles only: the truth vector (nt, S) at the end of the step about to be predicted."""
@@ -137,8 +138,7 @@ class Estimator(ABC):
 
 
 def flag(estimator: Estimator, failed: Mask, status: Status, reason: str) -> None:
-    """Mark the runs of `failed` (S,) that were fine so far."""
+    """Mark the runs of `failed` (S,) that were fine so far, and why."""
     new = failed & (estimator.status == Status.ok)
-    if new.any():
-        estimator.status[new] = status
-        estimator.reason = estimator.reason or reason
+    estimator.status[new] = status
+    estimator.reasons.update(dict.fromkeys(np.flatnonzero(new).tolist(), reason))

@@ -234,6 +234,12 @@ def factorise(matrix, factor, inverse, failed, definite, width):
             for k in range(j):
                 for s in range(width):
                     factor[i, j, s] -= factor[i, k, s] * factor[j, k, s]
+            if not definite:
+                for s in range(width):  # nothing may be correlated with a direction without uncertainty
+                    most = slack * abs(matrix[i, i, s] * matrix[j, j, s])
+                    bad = inverse[j, s] == 0.0 and factor[i, j, s] * factor[i, j, s] > most
+                    factor[i, j, s] = np.nan if bad else factor[i, j, s]
+                    failed[s] |= bad
             for s in range(width):
                 factor[i, j, s] *= inverse[j, s]
 

@@ -99,6 +99,16 @@ def certify(system: ErrorSystem, K: Array, theta: float, *, multipliers: Multipl
 def _certificate(system: ErrorSystem, theta: float, K: Array | None, multipliers: Multipliers,
                  solver: str) -> Certificate:
     begun = perf_counter()
+    if K is not None:
+        means = np.zeros(len(system.C))
+        for node in system.nodes:
+            means[list(node.elements)] = node.mean
+        radius = float(np.abs(np.linalg.eigvals(system.A - K @ (means[:, None] * system.C))).max())
+        if radius**2 > theta:
+            advice = "the gain does not make it fall" if radius > 1 - 1e-9 else "try theta closer to 1"
+            raise Infeasible(f"no certificate at theta = {theta:g}: the decay constraint (14) of Theorem 1 fails for "
+                             f"this gain, with which the mean error changes by a factor {radius:.6g} a step (spectral "
+                             f"radius) and theta must be at least its square; {advice}")
     statuses: list[str] = []
     scales = _LADDER[::-1] if solver == "SCS" else _LADDER
     for ladder in scales:

@@ -4,6 +4,7 @@ Built on the problems of `lmi`; no solution is used that is not "optimal"."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -16,48 +17,65 @@ from .lmi import Certificate, ErrorSystem, Multipliers, solve, symmetric, ultima
 Array = NDArray[np.float64]
 
 
+SLOWER, FASTER = (0.985, 0.99, 0.995, 0.999, 0.9999), (0.97, 0.95, 0.9, 0.8, 0.6, 0.3)
+"""Decays tried in turn from 0.98 on: until the bound is kept, until it no longer is."""
+
+
 def fastest_decay(system: ErrorSystem, varpi: float, *, multipliers: Multipliers = "scalar",
                   tolerance: float = 5e-4, solver: str = "CLARABEL") -> Certificate:
     """Least theta at which Corollary 1 certifies a bound of at most varpi, by bisection to `tolerance`.
 
-    The problem of Corollary 2 without its relaxation R'R >= rho (R + R' - rho I). Raises Infeasible."""
+    The problem of Corollary 2 without its relaxation R'R >= rho (R + R' - rho I). The least bound falls and rises again
+    over theta; where no decay tried keeps varpi, the decay of the least bound is sought. Raises Infeasible."""
     begun = perf_counter()
-    least: Certificate | None = None
+    found: dict[float, Certificate] = {}
 
-    def attempt(theta: float) -> Certificate | None:
-        nonlocal least
+    def bound(theta: float) -> float:
+        """The least certified bound, infinite where there is none."""
         try:
-            found = ultimate_bound(system, theta, multipliers=multipliers, solver=solver)
+            found[theta] = ultimate_bound(system, theta, multipliers=multipliers, solver=solver)
         except Infeasible:
-            return None
-        least = found if least is None or found.bound < least.bound else least
-        return found if found.bound <= varpi else None
+            return np.inf
+        return found[theta].bound
 
-    low, high, best = 0.0, 0.98, attempt(0.98)
-    if best is None:
-        for theta in (0.985, 0.99, 0.995, 0.999, 0.9999):
-            low, high = high, theta
-            if (best := attempt(theta)) is not None:
-                break
-    else:
-        for theta in (0.97, 0.95, 0.9, 0.8, 0.6, 0.3):
-            if (faster := attempt(theta)) is None:
+    low, high = 0.0, 0.98
+    if bound(high) <= varpi:
+        for theta in FASTER:
+            if bound(theta) > varpi:
                 low = theta
                 break
-            high, best = theta, faster
-    if best is None:
-        reached = "no decay up to 0.9999 has a certificate" if least is None else (
-            f"the least bound found is {least.bound:.5g} at theta = {least.theta:g}")
+            high = theta
+    else:
+        for theta in SLOWER:
+            low, high = high, theta
+            if bound(high) <= varpi:
+                break
+        else:
+            low, high = _at_least(bound, found, tolerance)
+    if high not in found or found[high].bound > varpi:
+        reached = (f"the least bound found is {found[high].bound:.6g} at theta = {high:.6g}" if high in found else
+                   "no decay up to 0.9999 has a certificate")
         raise Infeasible(f"no decay keeps the certified bound under varpi = {varpi:g} (constraint (33) of Corollary "
                          f"2): {reached}; try a larger varpi, a smaller delta or fewer contending trains")
     while high - low > tolerance:
         middle = (low + high) / 2
-        faster = attempt(middle)
-        if faster is None:
-            low = middle
-        else:
-            high, best = middle, faster
-    return replace(best, seconds=perf_counter() - begun)
+        low, high = (low, middle) if bound(middle) <= varpi else (middle, high)
+    return replace(found[high], seconds=perf_counter() - begun)
+
+
+def _at_least(bound: Callable[[float], float], found: Mapping[float, Certificate],
+              tolerance: float) -> tuple[float, float]:
+    """(a decay below, the decay of the least bound), from the decays tried so far on; (0, 1) without a certificate."""
+    from scipy.optimize import minimize_scalar
+
+    tried = (0.0, 0.98, *SLOWER, 1.0)
+    place = min((theta for theta in tried if theta in found), key=lambda theta: found[theta].bound, default=None)
+    if place is None:
+        return 0.0, 1.0
+    index = tried.index(place)
+    minimize_scalar(lambda theta: min(bound(theta), 1e300), bounds=(tried[index - 1], tried[index + 1]),
+                    method="bounded", options={"xatol": tolerance / 10})
+    return tried[index - 1], min(found, key=lambda theta: found[theta].bound)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ..scenarios.model import DesignModel, Linear, Portion, Reception, product
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
 from .kalman import Kalman
-from .random_access_bounds import CovarianceBounds
+from .random_access_bounds import M_MAX, SIGMA_MAX, CovarianceBounds
 
 Array = NDArray[np.float64]
 
@@ -93,9 +93,11 @@ def _require_nodes(estimator: type[Estimator], model: DesignModel) -> None:
 class RandomAccessParameters(Parameters):
     """What `design` analyses; the filter itself has nothing to tune."""
 
-    horizon: int = Field(300, ge=4, description="Steps the bounds are computed and checked over.")
-    sigma: PositiveFloat | None = Field(None, description="Claimed bound P <= sigma I, to check by (30), (31).")
-    m: PositiveInt | None = Field(None, description="Window length of (30) that goes with sigma.")
+    horizon: int = Field(300, ge=4, description="steps the bounds are computed and checked over (the paper's "
+                                            "example has 300)")
+    sigma: PositiveFloat | None = Field(None, description="claimed bound P <= sigma I, in the state's squared "
+                                               "units, to check by (30), (31)")
+    m: PositiveInt | None = Field(None, description="window length of (30), in steps, that goes with sigma")
 
     @model_validator(mode="after")
     def _consistent(self) -> RandomAccessParameters:
@@ -130,17 +132,17 @@ class RandomAccess(Estimator):
         assert model.linear is not None and model.reception is not None
         P0 = model.initial_covariance[:, :, 0]
         self._model, self._initial = model, _Covariance.initial(model)
-        gains, P = self._initial.sequence(self.parameters.horizon)
-        eigenvalues = np.linalg.eigvalsh(P)
         bounds = CovarianceBounds(model.linear, model.reception, P0, self.parameters.horizon)
+        gains, P = self._initial.sequence(bounds.horizon)
+        eigenvalues = np.linalg.eigvalsh(P)
         return {
-            "gains": {f"K_{k + 1}": gains[k].tolist() for k in range(3)},
+            "gains": {f"K_{k + 1}": gain.tolist() for k, gain in enumerate(gains[:3])},
             "eigenvalues of P": {"least": float(eigenvalues.min()), "greatest": float(eigenvalues.max()),
                                  "greatest from k = 1": float(eigenvalues[1:].max())},
             "assumption 1": {name: getattr(bounds, name) for name in (
                 "q_low", "q_high", "r_low", "r_high", "c", "c_hat", "a_low", "a_high")},
             "lower bound (21)": bounds.lower,
-            "upper bound (26)": {f"mu_{k}": float(bounds.mu[k]) for k in (0, 1, self.parameters.horizon)},
+            "upper bound (26)": {f"mu_{k}": float(bounds.mu[k]) for k in (0, 1, bounds.horizon)},
             "proposition 1": bounds.uniform if bounds.uniform is not None else "does not apply: a_high is not below 1",
             **self._conditions(bounds),
         }
@@ -148,7 +150,9 @@ class RandomAccess(Estimator):
     def _conditions(self, bounds: CovarianceBounds) -> dict[str, Any]:
         found = bounds.search()
         out: dict[str, Any] = {}
-        if self.parameters.sigma is not None:
+        if self.parameters.sigma is not None and self.parameters.m >= bounds.horizon:
+            out["claimed (30), (31)"] = f"not checked: m = {self.parameters.m} needs more than {bounds.horizon} steps"
+        elif self.parameters.sigma is not None:
             claim = bounds.check(self.parameters.sigma, self.parameters.m)
             worst, failing = int(np.argmin(claim.least)), claim.steps[~claim.holds]
             out["claimed (30), (31)"] = {
@@ -158,7 +162,7 @@ class RandomAccess(Estimator):
                 "first k where (30) fails": int(failing[0]) if len(failing) else "none",
                 "(31) holds": claim.mu_holds}
         out["valid (30), (31)"] = ({"least sigma": found[0], "m": found[1]} if found
-                                   else "none up to sigma = 1e6, m = 20")
+                                   else f"none up to sigma = {SIGMA_MAX:g}, m = {M_MAX}")
         return out
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from ..scenarios.model import Linear, Reception
 
 Array = NDArray[np.floating[Any]]
+SIGMA_MAX, M_MAX = 1e6, 20
+"""How far a pair for Theorem 4 is searched."""
 DIGITS = 4
 """A sigma that was searched for is given with this many significant digits, rounded up."""
 
@@ -37,7 +39,7 @@ class Condition:
 
 
 class CovarianceBounds:
-    """Assumption 1's constants and the bounds that follow, over the steps 1 .. horizon.
+    """Assumption 1's constants and the bounds that follow, over the steps 1 .. horizon, or as many as are known.
 
     Scalars q_low, q_high, r_low, r_high, c, c_hat, a_low, a_high as in Assumption 1, p_low, p_high of the access
     probabilities; extremes over the horizon. Sensors that no node owns never transmit and are left out.
@@ -46,6 +48,7 @@ class CovarianceBounds:
     def __init__(self, linear: Linear, reception: Reception, P0: Array, horizon: int) -> None:
         owned = [index for node in reception.nodes for index in node]
         sizes = [len(node) for node in reception.nodes]
+        horizon = min(horizon, linear.steps or horizon)
         self.horizon, self.mu0 = horizon, float(np.linalg.eigvalsh(P0)[-1])
         self.p = np.array(reception.p)
         self.node = np.repeat(np.arange(len(sizes)), sizes)
@@ -100,12 +103,12 @@ class CovarianceBounds:
         return Condition(sigma, m, np.arange(m, self.horizon), least, least >= 1 / sigma,
                          bool(self.mu[:m + 1].max() <= sigma))
 
-    def search(self, sigma_max: float = 1e6, m_max: int = 20) -> tuple[float, int] | None:
+    def search(self, sigma_max: float = SIGMA_MAX, m_max: int = M_MAX) -> tuple[float, int] | None:
         """The least sigma (to four digits) for which some m <= m_max meets (30), (31), and the least such m; None
         where there is none up to sigma_max.
 
         Exact up to those digits: both conditions get easier as sigma grows, and (30) as m grows, (31) harder."""
-        low, high = self.mu0, sigma_max
+        low, high = max(self.mu0, 1e-12), sigma_max
         if not (high > low and self._met(high, m_max)):
             return None
         while high / low > 1 + 10.0**-DIGITS / 4:

@@ -59,12 +59,17 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
             del sys.modules[module_name]
             raise InputError(f"{path}: does not import: {type(error).__name__}: {error}") from error
     classes = [value for value in vars(module).values()
-               if inspect.isclass(value) and issubclass(value, Estimator) and value.__module__ == module_name]
+               if inspect.isclass(value) and issubclass(value, Estimator) and value.__module__ == module_name
+               and not inspect.isabstract(value)]
     if not classes:
         raise InputError(f"{path}: holds no subclass of railstate.estimators.interface.Estimator")
     names = [file.stem.replace("_", "-")] if len(classes) == 1 else [
         re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", item.__name__).lower() for item in classes]
     found = dict(zip(names, classes, strict=True))
+    taken = [name for name in found if name in _registered()]
+    if taken:
+        raise InputError(f"{path}: an estimator named {taken[0]} is installed already; rename the "
+                         f"{'file' if len(classes) == 1 else 'class'}")
     _loose.update(found)
     return found
 

@@ -103,8 +103,8 @@ class Robust(Estimator):
         model, bounds, x, k = self.model, bounds_of(self.model), self._x, self._k
         assert model.transition_jacobian is not None
         if self._moved.any():
-            self._correct(plain(model.measurement_jacobian(x, k)) if model.measurement_jacobian else x,
-                          self._none)
+            assert model.measurement_jacobian is not None
+            self._correct(plain(model.measurement_jacobian(x, k)), self._none)
         moved = np.full(self.runs, np.asarray(portion) != 0.0)
         part = moved & (np.asarray(portion) != 1.0)
         A = plain(model.transition_jacobian(x, u, k, portion))
@@ -186,5 +186,6 @@ def plain(values: Array) -> Array:
 
 
 def bounds_of(model: DesignModel) -> Bounds:
+    """The model's bounds, which `needs` has made sure of."""
     assert model.bounds is not None
     return model.bounds

@@ -6,10 +6,10 @@ alternate, run by run, to each run's own convergence, so that a run's numbers do
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from .kernels import kernel
 from .robust_raw import raw_measurement
-from .robust_small import contraction, factorise, solve
+from .robust_small import TINY, contraction, factorise, solve
 
 TOLERANCE = 1e-10
 """Relative fall of the objective at which the alternation ends. Any multipliers give a valid bound: ending is safe."""
@@ -22,7 +22,7 @@ FAR = 1e6
 """sigma = 1/lam - c2 stays within c2 / FAR .. c2 FAR."""
 
 
-@njit(cache=True)
+@kernel
 def _multipliers(G, K, m, L, p, c2, M, g, R, ellipsoid, root):  # pyright: ignore
     """Best multipliers of a fixed gain: root (1 + nw + m,) are the sources' sizes, shares are root / sum(root).
 
@@ -73,14 +73,14 @@ def _multipliers(G, K, m, L, p, c2, M, g, R, ellipsoid, root):  # pyright: ignor
     return whole * whole + noise, sigma
 
 
-@njit(cache=True)
+@kernel
 def _relaxed(old, new):  # pyright: ignore
     """old (new / old)^1.5: over-relaxation, which keeps the fixed point and takes about two thirds of the rounds."""
     ratio = new / old
     return old * ratio * np.sqrt(ratio)
 
 
-@njit(cache=True)
+@kernel
 def _shares(root, previous, sources, least, first):  # pyright: ignore
     """Shares of the sources, summing to one, into `previous`; a source that is exactly nothing keeps `least`."""
     whole, total = 0.0, 0.0
@@ -96,7 +96,7 @@ def _shares(root, previous, sources, least, first):  # pyright: ignore
         previous[j] /= total
 
 
-@njit(cache=True)
+@kernel
 def _spread(L, p, c2, sigma, M, g, share, S):  # pyright: ignore
     """S = [L + p p'/sigma + M M' (c2 + sigma)] / share_0 + sum over channels of g g' / share."""
     n, nw = L.shape[0], g.shape[1]
@@ -112,7 +112,7 @@ def _spread(L, p, c2, sigma, M, g, share, S):  # pyright: ignore
             S[j, i] = total
 
 
-@njit(cache=True)
+@kernel
 def _noise(R, share, offset, ellipsoid, j, k):  # pyright: ignore
     """Entry (j, k) of R~: R itself, or for the ellipsoid diag(v_bar^2 / share)."""
     if not ellipsoid:
@@ -120,7 +120,7 @@ def _noise(R, share, offset, ellipsoid, j, k):  # pyright: ignore
     return R[j, j] / share[offset + j] if j == k else 0.0
 
 
-@njit(cache=True)
+@kernel
 def _gain(S, C, m, R, share, offset, ellipsoid, V, K):  # pyright: ignore
     """K = S C'(C S C' + R~)^-1. False where the innovation's matrix is singular."""
     n = S.shape[0]
@@ -143,7 +143,7 @@ def _gain(S, C, m, R, share, offset, ellipsoid, V, K):  # pyright: ignore
     return True
 
 
-@njit(cache=True)
+@kernel
 def _complement(K, C, m, G):  # pyright: ignore
     """G = I - K C."""
     n = G.shape[0]
@@ -155,7 +155,7 @@ def _complement(K, C, m, G):  # pyright: ignore
             G[i, k] = total
 
 
-@njit(cache=True)
+@kernel
 def _bound(G, K, m, L, p, c2, sigma, M, g, R, share, ellipsoid, work, columns, P):  # pyright: ignore
     """P = G S G' + K R~ K', G taken to each term of S first: S itself may be huge where G M or G g is all but zero."""
     n, nw = G.shape[0], g.shape[1]
@@ -189,7 +189,7 @@ def _bound(G, K, m, L, p, c2, sigma, M, g, R, share, ellipsoid, work, columns, P
             P[l, i] = total
 
 
-@njit(cache=True)
+@kernel
 def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, P, stability, verdict):  # pyright: ignore
     """Gain K and bound P of every run; sources and notation as in the page's F2 (ellipsoid) and F3.
 
@@ -241,6 +241,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
                 for q in range(n):
                     total += at[i, q] * Pi[q, l, s]
                 a[i, l] = total
+        c2 = 0.0 if c2 <= TINY else c2
         for i in range(n):
             for l in range(i + 1):
                 total = 0.0

@@ -7,12 +7,12 @@ X X' = Q0 + (K - K0) V (K - K0)', and the optimum has K = K0 + z m' V^-1: a conv
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from .robust_small import contraction, factorise, largest_eigenvalue, solve
+from .kernels import kernel
+from .robust_small import TINY, contraction, factorise, largest_eigenvalue, solve
 
 
-@njit(cache=True)
+@kernel
 def _value(g, g0, Q0, beta, nu):  # pyright: ignore
     """(f, q, g'(g0 - g)): f = |g0 - g|^2/beta + nu |g|^2 + 2 sqrt(nu q), q = g' Q0 g + (g'(g0 - g))^2/beta."""
     away, size, inner, form = 0.0, 0.0, 0.0, 0.0
@@ -27,7 +27,7 @@ def _value(g, g0, Q0, beta, nu):  # pyright: ignore
     return away / beta + nu * size + 2.0 * np.sqrt(nu * q), q, inner
 
 
-@njit(cache=True)
+@kernel
 def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
     """Minimise f over g by damped Newton steps; exactly g = 0 where that kink is the optimum.
 
@@ -110,7 +110,7 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         f = new
 
 
-@njit(cache=True)
+@kernel
 def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objective, stability, verdict):  # pyright: ignore
     """Gain of every run; notation as in the page's F1.
 
@@ -142,6 +142,7 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
             scaled[i] = kappa[s] * N[i]
             nu += scaled[i] * scaled[i]
             at[i] = A[i, :, sa]
+        nu = 0.0 if nu <= TINY else nu
         for i in range(n):
             for j in range(n):
                 total = 0.0
@@ -222,7 +223,7 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
                 K[:, rows[j], s] = k[:, j]
 
 
-@njit(cache=True)
+@kernel
 def _residual(K, C, m, S, D, rows, M, G, Q, g, work):  # pyright: ignore
     """G = I - K C, Q = G S G' + K D D' K', g = G M."""
     n = S.shape[0]

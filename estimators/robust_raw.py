@@ -5,12 +5,12 @@ There the objective of F2 has a kink that the alternation only creeps towards; t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from .kernels import kernel
 from .robust_small import factorise, invert
 
 
-@njit(cache=True)
+@kernel
 def raw_measurement(L, g, C, R, K, G, V, u, row):  # pyright: ignore
     """True, with K = C^-1, where that gain (G = 0) is certified to be the ellipsoid's optimum.
 

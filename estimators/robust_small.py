@@ -5,13 +5,16 @@ A run that iterates to its own convergence cannot share loops with others; `kern
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from .kernels import kernel
+
+TINY = 1e-200
+"""A squared linearisation error under this is none: its multiplier would overflow."""
 SINGULAR = 1e-13
 """A Cholesky pivot under this share of its diagonal entry counts as zero."""
 
 
-@njit(cache=True)
+@kernel
 def factorise(V, m):  # pyright: ignore
     """Cholesky factor of the leading (m, m) block of V, in place in its lower triangle. False where V is not PD."""
     for i in range(m):
@@ -29,7 +32,7 @@ def factorise(V, m):  # pyright: ignore
     return True
 
 
-@njit(cache=True)
+@kernel
 def solve(V, m, row):  # pyright: ignore
     """Replace row[:m] by V^-1 row, V factorised."""
     for i in range(m):
@@ -42,7 +45,7 @@ def solve(V, m, row):  # pyright: ignore
         row[i] /= V[i, i]
 
 
-@njit(cache=True)
+@kernel
 def invert(C, n, inverse, work):  # pyright: ignore
     """inverse (n, n) of C (n, n) by Gauss-Jordan with row pivoting. False where C is singular."""
     size = 0.0
@@ -75,7 +78,7 @@ def invert(C, n, inverse, work):  # pyright: ignore
     return True
 
 
-@njit(cache=True)
+@kernel
 def largest_eigenvalue(X):  # pyright: ignore
     """Largest eigenvalue of the symmetric X (n, n) by Jacobi rotations (X is overwritten). NaN: X is not finite."""
     n = X.shape[0]
@@ -114,7 +117,7 @@ def largest_eigenvalue(X):  # pyright: ignore
     return top
 
 
-@njit(cache=True)
+@kernel
 def contraction(G, A, M, N, work, gram):  # pyright: ignore
     """max over |Delta| <= 1 of |G (A + M Delta N)|^2 (spectral norm): convex in Delta, so it lies at Delta = +-1."""
     n = G.shape[0]

@@ -60,6 +60,8 @@ def within(children: Index) -> Array:
 
 
 def log_prior(transition: Array, children: Index) -> Array:
-    """log p(theta'|theta) of each child, (m, g); minus infinity where the transition forbids it."""
+    """log p(theta'|theta) of each child, (m, g), a probability over the children; minus infinity where the transition
+    forbids it."""
+    chances = np.take_along_axis(transition, children, axis=1)
     with np.errstate(divide="ignore"):
-        return np.log(np.take_along_axis(transition, children, axis=1))
+        return np.log(chances / chances.sum(axis=1, keepdims=True))

@@ -5,14 +5,15 @@ They differ in where the gain comes from: Corollary 1, the fastest decay under a
 from __future__ import annotations
 
 import hashlib
+import warnings
 from abc import abstractmethod
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from .. import scenarios
 from ..scenarios.errors import Infeasible, InputError, Unsupported
@@ -75,6 +76,15 @@ class ConstantGain(Estimator):
 
     K: Array
     bound: float | None = None
+
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        assert model.linear is not None
+        if not model.linear.constant:
+            raise Unsupported(f"{cls.__name__} needs a plant that does not change with time")
+        if np.linalg.cond(model.linear.A(0)) > 1 / np.finfo(float).eps:
+            raise Unsupported(f"{cls.__name__} needs a plant whose A has an inverse: its gain is used in filtered form")
 
     @abstractmethod
     def _solve(self, system: ErrorSystem, target: float) -> Certificate:
@@ -168,11 +178,20 @@ class FastestDecay(ConstantGain):
                                        tolerance=self.parameters.tolerance)
 
 
+def _from_file(given: Any) -> Any:
+    """The rows of a gain's file: what it holds, and not its name, is the parameter."""
+    try:
+        return read_gain(given).tolist() if isinstance(given, str) else given
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
 class FixedGainParameters(GainParameters):
     """Where the gain is."""
 
-    gain: str = Field(description="CSV file of K (nx x ny, predictor form, one row a line): a path, or the name of a "
-                      "file beside the built-in scenarios")
+    gain: Annotated[list[list[float]], BeforeValidator(_from_file)] = Field(
+        description="K (nx x ny, predictor form): rows of numbers, or a CSV file of them, one row a line, by its path "
+                    "or the name of a file beside the built-in scenarios")
 
 
 class FixedGain(ConstantGain):
@@ -182,10 +201,10 @@ class FixedGain(ConstantGain):
     summary = "constant gain from a file, its bound certified by Theorem 1 where there is a certificate"
 
     def design(self, model: DesignModel) -> dict[str, Any]:
-        self.K = read_gain(self.parameters.gain)
+        self.K = np.array(self.parameters.gain)
         if self.K.shape != (model.nx, model.ny):
-            raise Unsupported(f"the gain in {self.parameters.gain} is {self.K.shape[0]} x {self.K.shape[1]}, this "
-                              f"scenario needs {model.nx} x {model.ny} (states x measurements)")
+            raise Unsupported(f"the gain is {' x '.join(map(str, self.K.shape))}, this scenario needs {model.nx} x "
+                              f"{model.ny} (states x measurements)")
         try:
             return super().design(model)
         except Infeasible as reason:
@@ -200,17 +219,20 @@ class FixedGain(ConstantGain):
 
 
 def read_gain(file: str) -> Array:
-    """The matrix in a CSV file, by path or by name beside the built-in scenarios. Raises InputError."""
-    path = Path(file)
-    if not path.exists():
-        path = Path(scenarios.__path__[0]) / file
+    """The matrix in a CSV file: one beside the built-in scenarios by its bare name, else by path. Raises InputError."""
+    beside = Path(scenarios.__path__[0]) / file
+    path = beside if Path(file).name == file and beside.is_file() else Path(file)
     try:
-        gain = np.loadtxt(path, delimiter=",", ndmin=2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an empty file, which has its own message
+            gain = np.loadtxt(path, delimiter=",", ndmin=2)
     except FileNotFoundError:
         raise InputError(f"{file}: there is no such file, neither here nor beside the built-in scenarios") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: not a CSV file of numbers, one row of the gain a line: {error}") from None
-    if gain.size == 0 or not np.isfinite(gain).all():
+    if not gain.size:
+        raise InputError(f"{file}: is empty; a gain has one row of numbers a line")
+    if not np.isfinite(gain).all():
         raise InputError(f"{file}: a gain must have only finite numbers")
     return gain
 

@@ -168,7 +168,8 @@ class LinearSystem(Setting[LinearConfig]):
                              varies(plant.B) or varies(plant.Q))
         linear = Linear(
             A=lambda k: A(k + shift), B=lambda k: no_input, h=lambda k: no_offset, C=C, Q=process, R=R,
-            constant=not any(varies(getattr(plant, name)) for name in "ABCQR"))
+            constant=not any(varies(getattr(plant, name)) for name in "ABCQR"),
+            steps=told.time.steps if any(listed(getattr(plant, name)) for name in "ABCQR") else None)
         return linear_model(
             linear, states=self._states, measurements=tuple(f"y{i + 1}" for i in range(shape(plant.C)[0])),
             period=told.time.period, initial_mean=initial_mean,

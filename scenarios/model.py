@@ -24,7 +24,8 @@ class Linear:
     """x(k+1) = A x + B u + h + process noise, y = C x + measurement noise. Matrices may depend on the step k.
 
     A (nx, nx), B (nx, nu), h (nx,), C (ny, nx), Q (nx, nx), R (ny, ny); `constant` promises that k does not matter.
-    `A(k)` leads from step k to step k + 1; `C(k)` belongs to the measurement of step k."""
+    `A(k)` leads from step k to step k + 1; `C(k)` belongs to the measurement of step k. steps: how many steps the
+    matrices are known for; None: any number."""
 
     A: Callable[[int], Array]
     B: Callable[[int], Array]
@@ -33,6 +34,7 @@ class Linear:
     Q: Callable[[int], Array]
     R: Callable[[int], Array]
     constant: bool = True
+    steps: int | None = None
 
 
 @dataclass(frozen=True)

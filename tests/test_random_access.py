@@ -211,7 +211,7 @@ def test_a_covariance_that_overflows_is_a_failed_run():
     with np.errstate(over="ignore", invalid="ignore"):
         driven = drive(setting, world, estimator, model, streams("estimator", "trial"))
     assert (driven.scored.status != 0).all()
-    assert driven.scored.reason
+    assert driven.scored.reasons[0]
 
 
 RUNS = 1000

@@ -202,7 +202,7 @@ def test_degenerate_problems_end_in_a_status(cls: type[Estimator], changes: dict
     for estimate in follow(estimator, admissible(3, 4)[1], np.ones((4, 2, 3), bool)):
         assert np.isfinite(estimate.mean).all()
     assert (estimator.status == status).all()
-    assert bool(estimator.reason) == (status != Status.ok)
+    assert bool(estimator.reasons) == (status != Status.ok)
 
 
 @pytest.mark.parametrize("cls", FAMILY)
@@ -215,7 +215,7 @@ def test_a_bad_run_leaves_the_others_alone(cls: type[Estimator]) -> None:
     bad, good = started(cls, replace(told, bounds=poisoned)), started(cls, told)
     follow(bad, ys, everything)
     follow(good, ys, everything)
-    assert bad.status.tolist() == [0, Status.infeasible, 0] and "finite" in bad.reason
+    assert bad.status.tolist() == [0, Status.infeasible, 0] and "finite" in bad.reasons[1]
     assert (bad.estimate().mean[:, ::2] == good.estimate().mean[:, ::2]).all()
 
 
@@ -243,7 +243,7 @@ def test_portions_need_bounds_for_them() -> None:
     told = replace(told, transition=lambda x, u, k, portion: x)
     estimator = started(RobustMeanSquare, told)
     estimator.predict(np.zeros((0, 1)), 0.5)
-    assert estimator.status[0] == Status.infeasible and "whole sampling periods" in estimator.reason
+    assert estimator.status[0] == Status.infeasible and "whole sampling periods" in estimator.reasons[0]
     part = Bounds(G, np.array([0.3, 0.2]), np.array([1.0, 0.4]), part=lambda portion: G[:, :, None] * portion)
     estimator = started(RobustMeanSquare, replace(told, bounds=part))
     estimator.predict(np.zeros((0, 1)), 0.5)

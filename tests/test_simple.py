@@ -169,7 +169,7 @@ def test_a_run_without_likelihood_fails_alone() -> None:
     data.y[2, 0, 1] = np.inf
     means, _ = models.feed(estimator, model, data)
     assert estimator.status.tolist() == [0, int(Status.failed), 0]
-    assert "likelihood" in estimator.reason
+    assert all("likelihood" in why for why in estimator.reasons.values())
     np.testing.assert_array_equal(means[:, :, [0, 2]], healthy[:, :, [0, 2]])
     assert np.isnan(means[2:, :, 1]).all()
 

@@ -15,14 +15,16 @@ import typer
 from ...estimators.interface import Estimator
 from ...estimators.lmi_decay import trade_off
 from ...estimators.registry import estimator_class
+from ...estimators.registry import estimators as installed
 from ...estimators.ultimate_bound import FixedGain, error_system, read_gain
 from ...scenarios.errors import Infeasible, InputError, Unsupported
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
+from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
 from ..console import print_table
 from ..drive import prepare
-from ..plan import find_one
+from ..plan import checked_parameters, find_one
 from .options import Estimators, Sets, overrides, words
 
 Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
@@ -52,9 +54,10 @@ def design(
     gains: dict[str, np.ndarray] = {}
     others: dict[str, dict[str, Any]] = {}
     for label in _labels(setting, estimators):
-        entry = setting.config.estimators[label]
-        found = _designed(setting, name, variant, estimator_class(entry.plugin, name), entry.parameters,
-                          entry.knowledge)
+        entry = setting.config.estimators.get(label) or EstimatorEntry(plugin=label)
+        cls = estimator_class(entry.plugin, name)
+        parameters = checked_parameters(cls, entry.parameters, f"{name}: estimators.{label}.parameters")
+        found = _designed(setting, name, variant, cls, parameters, entry.knowledge)
         if found.row:
             rows.append({"estimator": label, **found.row})
         if found.gain is not None:
@@ -71,8 +74,11 @@ def design(
     for label, gain in gains.items():
         _print_gain(f"Gain of {label}", gain)
         if out:
-            Path(out).mkdir(parents=True, exist_ok=True)
-            np.savetxt(Path(out) / f"{label}.csv", gain, delimiter=",", fmt="%.17g")
+            try:
+                Path(out).mkdir(parents=True, exist_ok=True)
+                np.savetxt(Path(out) / f"{label}.csv", gain, delimiter=",", fmt="%.17g")
+            except OSError as error:
+                raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
 
 
 def certify(
@@ -84,14 +90,16 @@ def certify(
 ) -> None:
     """Put any gain through Theorem 1: the least bound that can be certified for it. Exit code 1: there is none."""
     setting, name, variant = _setting(scenario, theta, delta, set_)
-    needed = _prepare(setting, name, variant, FixedGain, {"gain": gain}, {})[1]
-    shape = read_gain(gain).shape
-    if shape != (needed.nx, needed.ny):
-        raise InputError(f"{gain}: the gain is {shape[0]} x {shape[1]}, {name}/{variant} needs {needed.nx} x "
+    rows, K = [], read_gain(gain)
+    try:
+        needed = _prepare(setting, name, variant, FixedGain, {"gain": K.tolist()}, {})[1]
+    except Unsupported as reason:
+        raise InputError(f"{name}/{variant}: {reason}") from None
+    if K.shape != (needed.nx, needed.ny):
+        raise InputError(f"{gain}: the gain is {K.shape[0]} x {K.shape[1]}, {name}/{variant} needs {needed.nx} x "
                          f"{needed.ny} (states x measurements)")
-    rows = []
     for multipliers in ("scalar", "free"):
-        found = _designed(setting, name, variant, FixedGain, {"gain": gain, "multipliers": multipliers}, {})
+        found = _designed(setting, name, variant, FixedGain, {"gain": K.tolist(), "multipliers": multipliers}, {})
         rows.append({"multipliers": {"scalar": "scalar (Theorem 1)", "free": "free (tighter)"}[multipliers],
                      **found.row})
     print_table(f"Certificates of {gain} on {name}/{variant}", pd.DataFrame(rows))
@@ -163,8 +171,9 @@ def _setting(scenario: str, theta: float | None, delta: float | None, set_: list
 def _labels(setting: Setting[Any], only: str) -> list[str]:
     known = setting.config.estimators
     for label in words(only):
-        if label not in known:
-            raise InputError(f"{setting.config.name}: there is no estimator \"{label}\"; allowed: {', '.join(known)}")
+        if label not in known and label not in installed():
+            raise InputError(f"{setting.config.name}: there is no estimator \"{label}\"; allowed: {', '.join(known)}, "
+                             f"or the name of an installed estimator: {', '.join(installed())}")
     return words(only) or list(known)
 
 
