@@ -116,7 +116,7 @@ class _Block:
                 self._failed(runs, Status.failed, text, traceback.format_exc())
         else:
             self.rows.append(self._table(runs, driven))
-            self.curves.append(_curves(self.task, self.label, self.setting, driven))
+            self.curves += _curves(self.task, self.label, self.setting, driven)
             self.kept += watch.tables()
             if self.worlds.closed_loop:
                 self.kept += watch.extras(driven.world)
@@ -197,8 +197,8 @@ class FirstSteps:
         return self._world.step(k, mean)
 
 
-def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> pa.Table:
-    """Sums over the runs per step and quantity; NEES under the quantity name `nees`."""
+def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> list[pa.Table]:
+    """Sums over the runs per step, a table a quantity; NEES under the quantity name `nees`."""
     curves = driven.scored.curves
     steps = np.flatnonzero(curves["active"] > 0)
     tables = []
@@ -211,11 +211,11 @@ def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> pa
         zero = np.zeros(len(steps))
         tables.append(("nees", curves["nees-count"][steps], curves["nees"][steps], zero, zero))
     n = len(steps)
-    return _join([pa.table({
+    return [pa.table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
         "step": pa.array(steps, pa.int32()), "time": steps * setting.config.time.period, "quantity": [name] * n,
         "active": active, "squared": squared, "fourth": fourth, "error": error,
-    }) for name, active, squared, fourth, error in tables])
+    }) for name, active, squared, fourth, error in tables]
 
 
 def _trajectory(task: Task, label: str, run: int, setting: Setting[Any], steps: np.ndarray, name: str,

@@ -7,6 +7,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -98,7 +99,11 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
         scenario, chosen = find(name, overrides)
         for variant in chosen:
             cell = _cell(scenario, variant, only, loose)
-            if cell and cell.key not in {other.key for other in cells}:
+            twin = next((other for other in cells if cell and other.key == cell.key), None)
+            if cell and twin and twin.table != cell.table:
+                raise InputError(f"{cell.where} and {twin.where} are both named {cell.scenario}: a name of its own "
+                                 "(name = ..) tells their results apart")
+            if cell and not twin:
                 cells.append(cell)
     if not cells:
         known = sorted({label for name in names or _self_contained()
@@ -109,15 +114,16 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
 
 
 def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, tuple[str, ...]]:
-    """A scenario and the variants meant: NAME or a path (all variants), NAME/VARIANT or PATH.toml/VARIANT (one).
+    """A scenario and the variants meant: NAME or a path (all that do not run only when asked for), NAME/VARIANT or
+    PATH.toml/VARIANT (one).
 
-    Of all variants those that cannot take the overrides are left out with a warning."""
+    Of several variants those that cannot take the overrides are left out with a warning."""
     scenario, variant = _named(name, overrides)
     if variant:
         return scenario, (variant,)
     for left, why in scenario.unfit.items():
         warnings.warn(f"{scenario.where}: variant {left} is left out: {'; '.join(why)}", stacklevel=2)
-    return scenario, tuple(scenario.variants)
+    return scenario, tuple(name for name, table in scenario.variants.items() if table.get("default", True))
 
 
 def find_one(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
@@ -132,7 +138,7 @@ def _named(name: str, overrides: Mapping[str, Any] | None) -> tuple[Scenario, st
     """The scenario and the variant that a word of the command line names ("": none)."""
     base, _, variant = name.rpartition("/")
     if base and (base in scenario_files() or base.endswith(".toml")):
-        scenario = load(base, overrides)
+        scenario = load(base, overrides, variant)
         scenario.setting(variant)
         return scenario, variant
     return load(name, overrides), ""
@@ -170,15 +176,17 @@ def _cell(scenario: Scenario, variant: str, only: Sequence[str], loose: Sequence
     for label, entry in entries.items():
         cls = estimator_class(entry.plugin, f"{scenario.where}: estimators.{label}.plugin")
         entries[label] = entry.model_copy(update={"parameters": checked_parameters(
-            cls, entry.parameters, f"{scenario.where}: estimators.{label}.parameters")})
+            cls, entry.parameters, f"{scenario.where}: estimators.{label}.parameters", scenario.folder)})
     return Cell(scenario.name, variant, scenario.where, scenario.variants[variant], entries) if entries else None
 
 
-def checked_parameters(cls: type[Estimator], given: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """An estimator's parameters as plain data, what a file holds in place of its name. Raises InputError naming the
-    field and what is allowed."""
+def checked_parameters(cls: type[Estimator], given: Mapping[str, Any], where: str,
+                       folder: Path = Path()) -> dict[str, Any]:
+    """An estimator's parameters as plain data, what a file (named from `folder` on) holds in place of its name. Raises
+    InputError naming the field and what is allowed."""
     try:
-        return cls.Parameters.model_validate(dict(given)).model_dump(mode="json", exclude_unset=True)
+        found = cls.Parameters.model_validate(dict(given), context={"folder": folder})
+        return found.model_dump(mode="json", exclude_unset=True)
     except ValidationError as error:
         allowed = ", ".join(cls.Parameters.model_fields) or "none"
         raise InputError("\n".join(f"{where}.{line.removeprefix('.')}; allowed: {allowed}"

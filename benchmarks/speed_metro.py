@@ -26,7 +26,7 @@ class PlainMetro:
     def __init__(self, setting: Metro) -> None:
         plant, self.period = setting.config.plant, setting.config.time.period
         self.forces, slope = plant.train.forces, plant.line.slope(plant.train.rotating)
-        self.cells, self.count = slope.cells, len(slope.base) - 1
+        self.origin, self.cells, self.count = slope.origin, slope.cells, len(slope.base) - 1
         self.base, self.edge, self.jump = slope.base.tolist(), slope.edge.tolist(), slope.jump.tolist()
 
     def _share(self, V: float, c: tuple[float, ...]) -> float:
@@ -37,7 +37,7 @@ class PlainMetro:
         s, v = x.tolist()
         q, V = self.forces, 3.6 * v
         top, c = (q.brake, q[7:12]) if u < 0 else (q.drive, q[1:6])
-        cell = int(min(max(s * self.cells, 0.0), self.count))
+        cell = int(min(max((s - self.origin) * self.cells, 0.0), self.count))
         climb = self.base[cell] + (self.jump[cell] if s >= self.edge[cell] else 0.0)
         left = min(max(self._share(max(V, 0.1), c), 0.0), 1.0)
         a = u * top * left - (q.r0 + V * (q.r1 + V * q.r2)) - climb

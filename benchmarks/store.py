@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import reprlib
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -191,4 +192,4 @@ def _differences(there: Any, now: Any, path: str = "") -> list[str]:
             else:
                 lines += _differences(there[key], now[key], inner)
         return lines
-    return [] if there == now else [f"{path}: {there!r} -> {now!r}"]
+    return [] if there == now else [f"{path}: {reprlib.repr(there)} -> {reprlib.repr(now)}"]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, ValidationInfo
 
 from .. import scenarios
 from ..scenarios.errors import Infeasible, InputError, Unsupported
@@ -178,10 +178,11 @@ class FastestDecay(ConstantGain):
                                        tolerance=self.parameters.tolerance)
 
 
-def _from_file(given: Any) -> Any:
+def _from_file(given: Any, info: ValidationInfo) -> Any:
     """The rows of a gain's file: what it holds, and not its name, is the parameter."""
+    folder = (info.context or {}).get("folder", Path())
     try:
-        return read_gain(given).tolist() if isinstance(given, str) else given
+        return read_gain(given, folder).tolist() if isinstance(given, str) else given
     except InputError as error:
         raise ValueError(str(error)) from None
 
@@ -218,10 +219,11 @@ class FixedGain(ConstantGain):
         return lmi.certify(system, self.K, target, multipliers=self.parameters.multipliers)
 
 
-def read_gain(file: str) -> Array:
-    """The matrix in a CSV file: one beside the built-in scenarios by its bare name, else by path. Raises InputError."""
+def read_gain(file: str, folder: Path = Path()) -> Array:
+    """The matrix in a CSV file: one beside the built-in scenarios by its bare name, else by path from `folder` on.
+    Raises InputError."""
     beside = Path(scenarios.__path__[0]) / file
-    path = beside if Path(file).name == file and beside.is_file() else Path(file)
+    path = beside if Path(file).name == file and beside.is_file() else folder / file
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty file, which has its own message

@@ -122,7 +122,8 @@ class BrakingConfig(ScenarioConfig):
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")
-    def _rate_stays_physical(self) -> BrakingConfig:
+    def _consistent(self) -> BrakingConfig:
+        self.channel.check(len(self.sensors.rows()))
         least = float(self.plant.rates(self.time.period, self.time.steps).min())
         if least < 0:
             raise ValueError(f"plant.rate_drift and plant.rate_steps take the braking rate to {least:g}: it must stay "

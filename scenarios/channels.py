@@ -18,7 +18,22 @@ Mask = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 
-class Ideal(Strict):
+class Base(Strict):
+    """What every channel answers. draw: which elements arrive, (steps, ny, S) bool. reception: what estimators know."""
+
+    def check(self, ny: int, field: str = "channel") -> None:
+        """Raise ValueError where the channel does not fit ny measurement elements."""
+
+    def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
+        """Which of ny elements arrive at each of the steps of each run, (steps, ny, S)."""
+        raise NotImplementedError
+
+    def reception(self) -> Reception:
+        """What an estimator may know of the channel."""
+        raise NotImplementedError
+
+
+class Ideal(Base):
     """Everything arrives."""
 
     kind: Literal["ideal"] = "ideal"
@@ -30,7 +45,7 @@ class Ideal(Strict):
         return Reception()
 
 
-class Bernoulli(Strict):
+class Bernoulli(Base):
     """Each packet (all measurements of a step) arrives with probability p, independently."""
 
     kind: Literal["bernoulli"]
@@ -44,7 +59,7 @@ class Bernoulli(Strict):
         return Reception(self.p, self.p)
 
 
-class Csma(Strict):
+class Csma(Base):
     """p-persistent CSMA: a packet arrives with probability p (1 - p)^(N(k) - 1), N(k) trains contending (Zou et al.
     2018, eqs. (6), (7)).
 
@@ -96,7 +111,7 @@ class Csma(Strict):
         return Reception(least, most, variance=most * (1 - most))  # for whole N it is greatest at the least N
 
 
-class RandomAccess(Strict):
+class RandomAccess(Base):
     """Random access protocol: at each step exactly one node transmits, node i with probability p[i] (Zou, Wang, Han,
     Zhou, eqs. (1), (4), (5)). nodes[i] lists the measurement elements (from 0) of node i."""
 
@@ -114,6 +129,12 @@ class RandomAccess(Strict):
         if len(set(owned)) != len(owned):
             raise ValueError("nodes share a measurement element: each element belongs to one node")
         return self
+
+    def check(self, ny: int, field: str = "channel") -> None:
+        owned = sorted(index for node in self.nodes for index in node)
+        if owned != list(range(ny)):
+            raise ValueError(f"{field}.nodes list the measurement elements {', '.join(map(str, owned))}, but there are "
+                             f"{ny}: each element 0 .. {ny - 1} must belong to a node, no others")
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         edges = np.cumsum(self.p)[:-1]

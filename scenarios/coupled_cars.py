@@ -147,6 +147,11 @@ class Performance(Strict):
     speed: PositiveFloat
 
 
+def headway_name(speed: float) -> str:
+    """The quantity of the headway at a speed in m/s."""
+    return f"headway-{3.6 * speed:.0f}"
+
+
 class Headway(Strict):
     """Headway time (L_train + L_error + v reaction_time + v braking_time + L_safe) / v at the speeds v (m/s).
 
@@ -157,6 +162,12 @@ class Headway(Strict):
     reaction_time: NonNegativeFloat
     braking_time: NonNegativeFloat
     speeds: Annotated[list[PositiveFloat], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _apart(self) -> Headway:
+        if len({headway_name(speed) for speed in self.speeds}) < len(self.speeds):
+            raise ValueError("speeds must differ by 1 km/h or more")
+        return self
 
 
 class CoupledCarsConfig(ScenarioConfig):
@@ -169,6 +180,12 @@ class CoupledCarsConfig(ScenarioConfig):
     knowledge: Knowledge  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     performance: Performance
     headway: Headway
+
+    @model_validator(mode="after")
+    def _nodes_fit(self) -> CoupledCarsConfig:
+        if not isinstance(self.channel, CarAccess):
+            self.channel.check(2 * self.plant.cars)
+        return self
 
 
 class CoupledCars(Setting[CoupledCarsConfig]):
@@ -276,7 +293,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         return self.config.time.steps * (8 * (4 * n + driven + 2) + 2 * n + 1)
 
     def _headways(self) -> list[tuple[str, float]]:
-        return [(f"headway-{3.6 * speed:.0f}", speed) for speed in self.config.headway.speeds]
+        return [(headway_name(speed), speed) for speed in self.config.headway.speeds]
 
     def _matrices(self) -> Matrices:
         plant = self.config.plant

@@ -7,34 +7,42 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from .errors import InputError
-from .registry import scenario_files, setting_for
+from .registry import scenario_files, setting_for, settings
+from .schema import LABEL
 from .setting import Setting
 
-VARIANT_KEYS = {"title", "notes", "origin", "fitted", "time", "plant", "disturbance", "sensors", "channel",
+MISSING = object()
+VARIANT_KEYS = {"title", "default", "notes", "origin", "fitted", "time", "plant", "disturbance", "sensors", "channel",
                 "knowledge", "score", "estimators"}
+
+
+DISPLAY = {"name", "title", "source", "notes", "origin", "fitted", "default", "estimators"}
+"""Top-level keys that change no number of a run."""
 
 
 @dataclass(frozen=True)
 class Scenario:
     """A scenario file: `name`, its variants as complete tables, its default (the file's first), where it was read from.
 
-    unfit: variants that are sound by themselves but cannot take the overrides (the number of contending trains, on a
-    channel of another kind), with what is wrong."""
+    folder: that of a user's file, from which it names others. unfit: variants that are sound by themselves but cannot
+    take the overrides (the number of contending trains, on a channel of another kind), with what is wrong."""
 
     name: str
     where: str
     variants: dict[str, dict[str, Any]] = field(repr=False)
     default: str
     unfit: dict[str, list[str]] = field(default_factory=dict)
+    folder: Path = Path()
 
     def setting(self, variant: str) -> Setting[Any]:
         """The setting of one variant. Raises InputError for one that is unknown or unfit."""
@@ -47,10 +55,11 @@ class Scenario:
         return kind(kind.Config.model_validate(table))
 
     def content_hash(self, variant: str) -> str:
-        """Hash of the variant's resolved content, files of the user's that it names included (not of its name or the
-        file's layout)."""
+        """Hash of what the variant's runs depend on, files of the user's that it names included; not of titles, notes,
+        origins or the file's layout, nor of the estimators, which have hashes of their own."""
         table = self.variants[variant]
-        found = hashlib.sha256(json.dumps(table, sort_keys=True, default=str).encode())
+        content = {key: value for key, value in table.items() if key not in DISPLAY}
+        found = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
         for key in setting_for(table["plant"]["kind"], self.where).user_files:
             path = table["plant"].get(key)
             if isinstance(path, str):
@@ -58,9 +67,9 @@ class Scenario:
         return found.hexdigest()[:16]
 
 
-def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
+def load(name: str, overrides: Mapping[str, Any] | None = None, only: str = "") -> Scenario:
     """A scenario by built-in name or path of a TOML file, with `--set` overrides (dotted key -> value) on every
-    variant. Raises InputError with all mistakes of the file."""
+    variant, or on the one variant that is wanted. Raises InputError with all mistakes of the file."""
     path = scenario_files().get(name)
     if path is None:
         path = Path(name)
@@ -79,11 +88,13 @@ def load(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
         raise InputError(f"{where}: not valid TOML: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: cannot be read: {error}") from None
-    return parse(table, where, overrides)
+    return parse(table, where, overrides, only, Path() if where == name else path.parent)
 
 
-def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """A scenario from its TOML table; `where` stands in the messages. Raises InputError with all mistakes."""
+def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None, only: str = "",
+          folder: Path = Path()) -> Scenario:
+    """A scenario from its TOML table; `where` stands in the messages, files are named from `folder` on. Raises
+    InputError with all mistakes."""
     if not table:
         raise InputError(f"{where}: the file is empty; a scenario needs name, title, [time], [plant], [estimators]")
     base = {key: value for key, value in table.items() if key != "variants"}
@@ -94,6 +105,9 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     unfit: dict[str, list[str]] = {}
     variants: dict[str, dict[str, Any]] = {}
     for variant, changes in named.items():
+        if not re.fullmatch(LABEL, variant):
+            mistakes.append(f"variants: \"{variant}\" is no name; allowed: letters, digits and . _ -")
+            continue
         unknown = sorted(set(changes) - VARIANT_KEYS)
         if unknown:
             mistakes.append(f"variants.{variant}: unknown key {', '.join(unknown)}; allowed: "
@@ -102,7 +116,10 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         if not changes and len(named) > 1 and variant != next(iter(named)):
             mistakes.append(f"variants.{variant}: changes nothing; allowed: at least one of "
                             f"{', '.join(sorted(VARIANT_KEYS))}")
-        plain = merged = merge(base, changes)
+        plain = merged = _located(merge(base, changes), folder)
+        if only and variant != only:
+            variants[variant] = plain
+            continue
         for key, value in (overrides or {}).items():
             merged = set_dotted(merged, key, value)
         found = validate(merged, where)
@@ -112,12 +129,13 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         prefix = f"variants.{variant}: " if changes else ""
         mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
         variants[variant] = merged
-    if not variants:
+    mistakes += _strays(variants.values(), where) if not mistakes else []
+    if not variants or only in unfit:
         mistakes += [f"variants.{variant}: {line}" if named[variant] else line
                      for variant, found in unfit.items() for line in found]
     if mistakes:
         raise InputError("\n".join(f"{where}: {mistake}" for mistake in _without_repeats(mistakes)))
-    return Scenario(base["name"], where, variants, next(iter(named)), unfit)
+    return Scenario(base["name"], where, variants, next(iter(named)), unfit, folder)
 
 
 def validate(table: dict[str, Any], where: str) -> list[str]:
@@ -133,13 +151,23 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
         setting = kind(kind.Config.model_validate(table))
     except ValidationError as error:
         return describe(error, table=table)
-    mistakes: list[str] = []
+    known = [item.name for item in setting.quantities()]
+    mistakes = [f"score.divergence.{name}: no such quantity; allowed: {', '.join(known)}"
+                for name in setting.config.score.divergence if name not in known]
     for label, entry in setting.config.estimators.items():
         try:
             setting.resolve_knowledge(entry.knowledge)
         except ValidationError as error:
             mistakes += describe(error, f"estimators.{label}.knowledge")
     return mistakes
+
+
+def _strays(variants: Collection[dict[str, Any]], where: str) -> list[str]:
+    """Paths of [origin] and `fitted` that lead to nothing in any of the variants."""
+    configs = [setting_for(table["plant"]["kind"], where).Config.model_validate(table) for table in variants]
+    paths = {(key, path): None for config in configs for key in ("origin", "fitted") for path in getattr(config, key)}
+    return [f"{key}.{path}: names no key of this scenario" for key, path in paths
+            if not any(_names_a_key(path, config) for config in configs)]
 
 
 def describe(error: ValidationError, prefix: str = "", table: Mapping[str, Any] | None = None) -> list[str]:
@@ -156,13 +184,39 @@ def describe(error: ValidationError, prefix: str = "", table: Mapping[str, Any] 
 
 
 def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
-    """The keys of an error's place, without those that pydantic adds for a table it chose by its `kind`."""
+    """The keys of an error's place, without what pydantic adds for one of several allowed types or kinds of table."""
     for part in loc:
-        inside = isinstance(table, dict)
-        if inside and part not in table and table.get("kind") == part:
+        if isinstance(table, dict):
+            if table.get("kind") == part and part not in table:
+                continue
+            table = table.get(part)
+        elif table is not None and isinstance(part, str):
             continue
-        table = table.get(part) if inside else None
+        else:
+            table = None
         yield str(part)
+
+
+def _names_a_key(path: str, config: Any) -> bool:
+    """Whether a dotted path leads to something in a resolved scenario."""
+    for part in path.split("."):
+        if isinstance(config, BaseModel):
+            config = getattr(config, part, MISSING)
+        else:
+            config = config.get(part, MISSING) if isinstance(config, dict) else MISSING
+        if config is MISSING:
+            return False
+    return True
+
+
+def _located(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with the user's files that it names as paths from here on."""
+    plant = table.get("plant")
+    kind = settings().get(str(plant.get("kind"))) if isinstance(plant, dict) else None
+    if kind is None or not isinstance(plant, dict):
+        return table
+    named = {key: str(folder / plant[key]) for key in kind.user_files if isinstance(plant.get(key), str)}
+    return {**table, "plant": {**plant, **named}}
 
 
 def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,15 +231,16 @@ def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def set_dotted(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
-    """`table` with one dotted key set (`channel.trains`)."""
+def set_dotted(table: dict[str, Any], key: str, value: Any, above: str = "") -> dict[str, Any]:
+    """`table` with one dotted key set (`channel.trains`). Another `kind` of a table replaces the whole of it, as in a
+    variant. above: where the table stands, for the message."""
     head, _, rest = key.partition(".")
     if not rest:
-        return {**table, head: value}
+        return {"kind": value} if head == "kind" and table.get("kind", value) != value else {**table, head: value}
     inner = table.get(head, {})
     if not isinstance(inner, dict):
-        raise InputError(f"--set {key}: {head} is not a table")
-    return {**table, head: set_dotted(inner, rest, value)}
+        raise InputError(f"--set {above}{key}: {above}{head} is not a table")
+    return {**table, head: set_dotted(inner, rest, value, f"{above}{head}.")}
 
 
 def _without_repeats(mistakes: list[str]) -> list[str]:

@@ -84,12 +84,8 @@ class LinearConfig(ScenarioConfig):
             raise ValueError(f"plant.states repeats a name: {', '.join(plant.states)}")
         for name in wanted:
             _check_steps(name, getattr(plant, name), self.time.steps)
-        if isinstance(self.channel, RandomAccess):
-            owned = sorted(index for node in self.channel.nodes for index in node)
-            if owned != list(range(ny)):
-                raise ValueError(f"channel.nodes list the measurement elements {', '.join(map(str, owned))}, but "
-                                 f"plant.C has {ny} rows: each element 0 .. {ny - 1} must belong to a node, no others")
-        elif self.knowledge.p is not None:
+        self.channel.check(ny)
+        if self.knowledge.p is not None and not isinstance(self.channel, RandomAccess):
             raise ValueError("knowledge.p are access probabilities and need channel.kind = \"random-access\"")
         return self
 

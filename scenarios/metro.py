@@ -95,6 +95,7 @@ class MetroConfig(ScenarioConfig):
     @model_validator(mode="after")
     def _consistent(self) -> MetroConfig:
         check(self.plant.line, self.plant.train, self.plant.controller, self.disturbance.w_bar)
+        self.channel.check(2)
         return self
 
 

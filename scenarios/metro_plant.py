@@ -42,8 +42,10 @@ class Forces(NamedTuple):
 class Slope(NamedTuple):
     """Piecewise constant deceleration by the gradient, m/s^2, on a grid so fine that a cell holds at most one edge.
 
-    cells: cells per metre. In cell c: base[c] before edge[c], base[c] + jump[c] from it on."""
+    origin: where the grid begins, m; cells: cells per metre. In cell c: base[c] before edge[c], base[c] + jump[c] from
+    it on."""
 
+    origin: float
     cells: float
     base: Array
     edge: Array
@@ -79,7 +81,7 @@ def climb(s, slope):  # pyright: ignore
     """Deceleration by the gradient at s (m), m/s^2. Beyond the line its first and last gradients go on.
 
     A lost estimator may ask at NaN, whose conversion would be an index outside the table: it takes the first cell."""
-    place, last = s * slope.cells, slope.base.shape[0] - 1
+    place, last = (s - slope.origin) * slope.cells, slope.base.shape[0] - 1
     cell = np.int32(last if place >= last else (place if place > 0.0 else 0.0))
     return slope.base[cell] + (slope.jump[cell] if s >= slope.edge[cell] else 0.0)
 
@@ -153,15 +155,15 @@ def slope_grid(positions: Array, gradients: Array, rotating: float) -> Slope:
     """The gradient (m/m) from each position (m) on as a `Slope`. Positions strictly increase by at least 0.1 m."""
     steep = GRAVITY * gradients / (1 + rotating)
     gap = float(np.diff(positions).min()) if len(positions) > 1 else 1.0
-    count = int(np.ceil(positions[-1] / gap)) + 2
+    origin = float(positions[0])
     # A hair finer than the smallest distance: two edges never share a cell, whatever the rounding of s * cells.
     cells = 1.001 / gap
-    starts = np.arange(count + 2) / cells
+    starts = origin + np.arange(int((positions[-1] - origin) * cells) + 3) / cells
     before = np.searchsorted(positions, starts, side="right") - 1
     base = steep[np.maximum(before, 0)]
     edge, jump = np.full(len(starts), np.inf), np.zeros(len(starts))
     for k in range(1, len(positions)):
-        cell = int(positions[k] * cells)
+        cell = int((positions[k] - origin) * cells)
         edge[cell], jump[cell] = positions[k], steep[k] - steep[k - 1]
         base[cell] = steep[k - 1]
-    return Slope(cells, base, edge, jump)
+    return Slope(origin, cells, base, edge, jump)

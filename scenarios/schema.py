@@ -6,9 +6,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
 
 Probability = Annotated[float, Field(gt=0, le=1)]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
+LABEL = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+"""What variants and estimators of a scenario may be called, since names of files and rows are made of it."""
+Label = Annotated[str, Field(pattern=LABEL)]
 
 
 class Strict(BaseModel):
@@ -22,7 +26,8 @@ class Empty(Strict):
 
 
 class Time(Strict):
-    """Sampling period in seconds and number of steps (for runs that end by themselves: the most there can be)."""
+    """Sampling period in seconds and number of steps: the most there can be of runs that end by themselves, but for the
+    metro, whose trips take as many as the line needs."""
 
     period: PositiveFloat
     steps: PositiveInt
@@ -55,10 +60,12 @@ class ScenarioConfig(Strict):
     """A scenario resolved for one variant. Settings subclass it and give the tables their own types.
 
     origin: where a number comes from, by its dotted key (`"plant.mass" = "paper, Table I"`); notes: what a reader of
-    the tables must know; fitted: parameters the source does not print that were chosen to hit its numbers."""
+    the tables must know; fitted: parameters the source does not print that were chosen to hit its numbers. default =
+    false: a variant that runs only when asked for by its name."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
+    name: Name
     title: str
+    default: bool = True
     source: str = ""
     notes: list[str] = []
     origin: dict[str, str] = {}
@@ -70,4 +77,11 @@ class ScenarioConfig(Strict):
     channel: Strict = Empty()
     knowledge: Strict = Empty()
     score: Score = Score()
-    estimators: Annotated[dict[str, EstimatorEntry], Field(min_length=1)]
+    estimators: Annotated[dict[Label, EstimatorEntry], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _something_is_scored(self) -> ScenarioConfig:
+        if self.score.skip >= self.time.period * self.time.steps:
+            raise ValueError(f"score.skip = {self.score.skip:g} s leaves nothing of {self.time.steps} steps of "
+                             f"{self.time.period:g} s")
+        return self

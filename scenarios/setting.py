@@ -44,10 +44,9 @@ class Setting(ABC, Generic[ConfigT]):
     """One plant kind, configured by one variant of a scenario file.
 
     kind: the value of `plant.kind` that selects it. Config: its schema. files: its scenario files, beside its module.
-    lower_is_better: False for outcomes such as trains per hour, by metric name. user_files: keys of [plant] that may
-    hold the path of a file of the user's, whose content then belongs to the scenario's. needs_file: the dotted key of
-    such a file without which nothing can run. shown: (unit, factor) in which tables print outcomes that are no scored
-    quantity, by name."""
+    user_files: keys of [plant] that may hold the path of a file of the user's (from the scenario file's own folder on),
+    whose content then belongs to the scenario's. needs_file: the dotted key of such a file without which nothing can
+    run. shown: (unit, factor) in which tables print outcomes that are no scored quantity, by name."""
 
     kind: ClassVar[str]
     Config: ClassVar[type[ScenarioConfig]]
