@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from ..estimators.interface import Estimator
 from ..estimators.registry import estimator_class, estimators, load_file, source_hash
 from ..scenarios.errors import InputError
-from ..scenarios.files import Scenario, describe, load
+from ..scenarios.files import DISPLAY, Scenario, describe, load
 from ..scenarios.registry import scenario_files, settings
 from ..scenarios.schema import EstimatorEntry
 from ..scenarios.setting import Setting
@@ -100,7 +100,7 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
         for variant in chosen:
             cell = _cell(scenario, variant, only, loose)
             twin = next((other for other in cells if cell and other.key == cell.key), None)
-            if cell and twin and twin.table != cell.table:
+            if cell and twin and _content(twin) != _content(cell):
                 raise InputError(f"{cell.where} and {twin.where} are both named {cell.scenario}: a name of its own "
                                  "(name = ..) tells their results apart")
             if cell and not twin:
@@ -113,6 +113,11 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
     return Plan(tuple(cells), runs, seed, keep, tuple(plugins))
 
 
+def _content(cell: Cell) -> dict[str, Any]:
+    """What a cell's rows depend on."""
+    return {key: value for key, value in cell.table.items() if key not in DISPLAY} | {"estimators": cell.entries}
+
+
 def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, tuple[str, ...]]:
     """A scenario and the variants meant: NAME or a path (all that do not run only when asked for), NAME/VARIANT or
     PATH.toml/VARIANT (one).
@@ -122,8 +127,9 @@ def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenari
     if variant:
         return scenario, (variant,)
     for left, why in scenario.unfit.items():
-        warnings.warn(f"{scenario.where}: variant {left} is left out: {'; '.join(why)}", stacklevel=2)
-    return scenario, tuple(name for name, table in scenario.variants.items() if table.get("default", True))
+        if left not in scenario.requested:
+            warnings.warn(f"{scenario.where}: variant {left} is left out: {'; '.join(why)}", stacklevel=2)
+    return scenario, tuple(name for name in scenario.variants if name not in scenario.requested)
 
 
 def find_one(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:

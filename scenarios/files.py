@@ -8,6 +8,7 @@ import difflib
 import hashlib
 import json
 import re
+import reprlib
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -35,7 +36,8 @@ class Scenario:
     """A scenario file: `name`, its variants as complete tables, its default (the file's first), where it was read from.
 
     folder: that of a user's file, from which it names others. unfit: variants that are sound by themselves but cannot
-    take the overrides (the number of contending trains, on a channel of another kind), with what is wrong."""
+    take the overrides (the number of contending trains, on a channel of another kind), with what is wrong. requested:
+    variants that run only when asked for by name."""
 
     name: str
     where: str
@@ -43,6 +45,7 @@ class Scenario:
     default: str
     unfit: dict[str, list[str]] = field(default_factory=dict)
     folder: Path = Path()
+    requested: frozenset[str] = frozenset()
 
     def setting(self, variant: str) -> Setting[Any]:
         """The setting of one variant. Raises InputError for one that is unknown or unfit."""
@@ -88,7 +91,7 @@ def load(name: str, overrides: Mapping[str, Any] | None = None, only: str = "") 
         raise InputError(f"{where}: not valid TOML: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: cannot be read: {error}") from None
-    return parse(table, where, overrides, only, Path() if where == name else path.parent)
+    return parse(table, where, overrides, only, Path() if name in scenario_files() else path.parent)
 
 
 def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None, only: str = "",
@@ -131,11 +134,13 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         variants[variant] = merged
     mistakes += _strays(variants.values(), where) if not mistakes else []
     if not variants or only in unfit:
+        usual = {variant: found for variant, found in unfit.items() if named[variant].get("default", True)}
         mistakes += [f"variants.{variant}: {line}" if named[variant] else line
-                     for variant, found in unfit.items() for line in found]
+                     for variant, found in (usual or unfit).items() for line in found]
     if mistakes:
         raise InputError("\n".join(f"{where}: {mistake}" for mistake in _without_repeats(mistakes)))
-    return Scenario(base["name"], where, variants, next(iter(named)), unfit, folder)
+    return Scenario(base["name"], where, variants, next(iter(named)), unfit, folder,
+                    frozenset(name for name, changes in named.items() if not changes.get("default", True)))
 
 
 def validate(table: dict[str, Any], where: str) -> list[str]:
@@ -178,7 +183,8 @@ def describe(error: ValidationError, prefix: str = "", table: Mapping[str, Any] 
         got = item["input"]
         message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
         message = message.removeprefix("Value error, ")
-        shown = "" if item["type"] == "missing" or isinstance(got, dict) else f" (got {got!r})"
+        told = item["type"] == "missing" or isinstance(got, dict) or (isinstance(got, str) and got in message)
+        shown = "" if told else f" (got {reprlib.repr(got)})"
         lines.append(f"{path}: {message}{shown}" if path else f"{message}{shown}")
     return lines
 

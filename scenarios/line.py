@@ -5,6 +5,7 @@ What a wrong file gets is one message that names the file, the entry and what is
 from __future__ import annotations
 
 import json
+import reprlib
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -126,6 +127,8 @@ def read_train(path: str) -> Train:
     brakes are taken to hold their force at any speed."""
     table = _json(path)
     mass = _value(table, "mass", MASSES, path)
+    if mass <= 0:
+        raise ValueError(f"{path}: \"mass\" must be more than 0")
     rotating = _value(table, "rho", SHARES, path, 0.0)
     inertia = mass * (1 + rotating)
     traction = _value(table, "max traction force", FORCES, path)
@@ -187,7 +190,7 @@ def _entry(table: dict[str, Any], key: str, path: str) -> dict[str, Any]:
 
 
 def _unit(unit: Any, allowed: dict[str, float], key: str, path: str) -> float:
-    if unit not in allowed:
+    if not isinstance(unit, str) or unit not in allowed:
         raise ValueError(f"{path}: unit {unit!r} of \"{key}\" is unknown; allowed: {', '.join(allowed)}")
     return allowed[unit]
 
@@ -195,9 +198,9 @@ def _unit(unit: Any, allowed: dict[str, float], key: str, path: str) -> float:
 def _numbers(values: Any, key: str, path: str) -> list[float]:
     if not isinstance(values, list) or not values:
         raise ValueError(f"{path}: \"{key}\" needs a list of values")
-    bad = [v for v in values if not isinstance(v, int | float) or isinstance(v, bool)]
+    bad = [v for v in values if not isinstance(v, int | float) or isinstance(v, bool) or abs(v) > 1e15]
     if bad:
-        raise ValueError(f"{path}: \"{key}\" must be numbers (got {bad[0]!r})")
+        raise ValueError(f"{path}: \"{key}\" must be numbers (got {reprlib.repr(bad[0])})")
     return [float(v) for v in values]
 
 

@@ -14,14 +14,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, WithJsonSchema, field_validator, model_validator
 
 from . import metro_plant as compiled
 from .channels import Channel, Ideal
 from .errors import InputError
 from .line import Line, Train, read_line, read_train
 from .metro_disturbance import UNTOUCHED, Disturbance, Sensors
-from .metro_trip import Controller, check, simulate
+from .metro_trip import Controller, Reference, Trip, check, simulate
 from .model import Bounds, DesignModel, Portion
 from .randomness import Streams
 from .schema import ScenarioConfig, Strict
@@ -33,15 +33,36 @@ Two = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 
 
 class Plant(Strict):
-    """line, train: tables, or paths of TTOBench files. start_speed m/s; start_error: the estimators' first errors are
-    uniform within +-[m, m/s]."""
+    """line, train: tables, or paths of TTOBench files. loads: mass kg of the train with its passengers on each section,
+    where it is not the train's own throughout; the train weighs itself, so that inputs are told as shares of the force
+    that does the same to its own mass. start_speed m/s; start_error: the estimators' first errors are uniform within
+    +-[m, m/s]."""
 
     kind: Literal["metro"]
-    line: Line
-    train: Train
+    line: Annotated[Line, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
+    train: Annotated[Train, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
+    loads: list[PositiveFloat] = []
     controller: Controller
     start_speed: NonNegativeFloat
     start_error: Two
+
+    @model_validator(mode="after")
+    def _one_load_a_section(self) -> Plant:
+        sections = len(self.line.stops) - 1
+        if self.loads and len(self.loads) != sections:
+            raise ValueError(f"loads has {len(self.loads)} entries for {sections} sections: one each is needed")
+        return self
+
+    @property
+    def heaviest(self) -> Train:
+        """The train with its greatest load."""
+        return self.train.model_copy(update={"mass": max(self.loads)}) if self.loads else self.train
+
+    @property
+    def ease(self) -> Array:
+        """The train's own mass over that on each section, (sections,)."""
+        own = np.ones(len(self.line.stops) - 1)
+        return self.train.mass / np.array(self.loads) if self.loads else own
 
     @field_validator("line", mode="before")
     @classmethod
@@ -94,7 +115,8 @@ class MetroConfig(ScenarioConfig):
 
     @model_validator(mode="after")
     def _consistent(self) -> MetroConfig:
-        check(self.plant.line, self.plant.train, self.plant.controller, self.disturbance.w_bar)
+        plant = self.plant
+        check(plant.line, plant.heaviest, plant.controller, self.disturbance.w_bar, plant.start_speed)
         self.channel.check(2)
         return self
 
@@ -119,11 +141,17 @@ class Metro(Setting[MetroConfig]):
         line, w_bar = plant.line, self.config.disturbance.w_bar
         longest = (line.stops[-1] - line.stops[0]) / 1.0 + plant.controller.dwell * len(line.stops) + 100.0
         w = np.full((max(time.steps, math.ceil(longest / time.period)), 1), -w_bar)
-        trip = simulate(line, plant.train, plant.controller, self.start, time.period, w, UNTOUCHED, w_bar, False)
+        trip = self._simulate(w, UNTOUCHED, False)
         if trip.active[-1, 0]:
             raise InputError(f"{self.config.name}: the train does not reach its last stop: after {longest:.0f} s of "
                              f"w = -w_bar it is at {trip.state[-1, 0, 0]:.0f} m of {line.stops[-1]:.0f} m")
         return max(time.steps, math.ceil(1.05 * float(trip.active.sum())))
+
+    def _simulate(self, w: Array, factors: Array, physical: bool) -> Trip:
+        plant = self.config.plant
+        plan = Reference.of(plant.line, plant.heaviest, plant.controller, self.config.disturbance.w_bar)
+        return simulate(plant.line, plant.train, plant.controller, plan, plant.ease, self.start,
+                        self.config.time.period, w, factors, self.config.disturbance.w_bar, physical)
 
     @property
     def sections(self) -> tuple[str, ...]:
@@ -153,8 +181,7 @@ class Metro(Setting[MetroConfig]):
         error = random.uniform(-1.0, 1.0, 2) * np.array(plant.start_error)[:, None]
         factors = config.disturbance.factors(random)
         w = config.disturbance.draw(random, steps, period)
-        trip = simulate(plant.line, plant.train, plant.controller, self.start, period, w, factors,
-                        config.disturbance.w_bar, config.disturbance.form == "physical")
+        trip = self._simulate(w, factors, config.disturbance.form == "physical")
         y = trip.state + config.sensors.draw(sensed, steps, period)
         position = trip.state[:, 0]
         return Trajectory(

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from .line import Line, Train
 from .metro_plant import GRAVITY, KMH, climb, effect, level, share
@@ -29,11 +29,17 @@ class Controller(Strict):
     margin: NonNegativeFloat
     braking: PositiveFloat
     gain: PositiveFloat
-    effort: Annotated[list[float], Field(min_length=2, max_length=2)]
+    effort: Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=2, max_length=2)]
     slew: PositiveFloat
-    dwell: NonNegativeFloat = 30.0
+    dwell: Annotated[float, Field(ge=0, le=3600)] = 30.0
     ended: PositiveFloat = 0.3
     overrun: PositiveFloat = 50.0
+
+    @model_validator(mode="after")
+    def _both_ways(self) -> Controller:
+        if not self.effort[0] < 0 < self.effort[1]:
+            raise ValueError("effort = [least, greatest] needs least < 0 (braking) < greatest (traction)")
+        return self
 
 
 @dataclass(frozen=True)
@@ -100,8 +106,14 @@ class Reference:
         return min(found)
 
 
-def check(line: Line, train: Train, controller: Controller, w_bar: float) -> None:
+def check(line: Line, train: Train, controller: Controller, w_bar: float, start_speed: float) -> None:
     """Raise ValueError where this train cannot make this trip: limits, climbing, braking."""
+    if train.max_speed <= controller.margin:
+        raise ValueError(f"the train's top speed of {train.max_speed:.2f} m/s (plant.train.max_speed) is not above the "
+                         f"controller's margin of {controller.margin:.2f} m/s (plant.controller.margin)")
+    first = min(float(line.limit(np.array(line.stops[0]))), train.max_speed)
+    if start_speed > first:
+        raise ValueError(f"start_speed = {start_speed:g} m/s is over the {first:.2f} m/s admitted at the start")
     for position, limit in line.speed_limits:
         if limit <= controller.margin:
             raise ValueError(f"the speed limit of {limit:.2f} m/s from {position:g} m on is not above the controller's "
@@ -128,16 +140,17 @@ class Trip:
     reference: Array
 
 
-def simulate(line: Line, train: Train, controller: Controller, start: tuple[float, float], period: float, w: Array,
-             factors: Array, bound: float, physical: bool) -> Trip:
-    """The trips of all runs. w (K, S) and factors (5, S) as `Disturbance` draws them; start: position m, speed m/s."""
+def simulate(line: Line, train: Train, controller: Controller, plan: Reference, ease: Array,
+             start: tuple[float, float], period: float, w: Array, factors: Array, bound: float,
+             physical: bool) -> Trip:
+    """The trips of all runs. w (K, S) and factors (5, S) as `Disturbance` draws them; ease (sections,): the train's own
+    mass over that on each section; start: position m, speed m/s."""
     steps, runs = w.shape
     state, u = np.empty((steps, 2, runs)), np.empty((steps, 1, runs))
     reference, acted = np.empty((steps, runs)), w.copy()
     active, section = np.empty((steps, runs), dtype=np.bool_), np.empty((steps, runs), dtype=np.int16)
-    plan = Reference.of(line, train, controller, bound)
     _simulate(train.forces, line.slope(train.rotating), plan.start, plan.base, plan.rate, plan.first,
-              np.array(line.stops), np.array(start), period,
+              np.array(line.stops), ease, np.array(start), period,
               (controller.gain, *controller.effort, controller.slew, controller.ended, controller.overrun),
               round(controller.dwell / period), factors, bound, GRAVITY / (1 + train.rotating), physical, acted, state,
               u, active, section, reference)
@@ -166,19 +179,21 @@ def _disturbed(s, v, u, forces, slope, mass, pull, hold, rise, wind, g):  # pyri
 
 
 @njit(cache=True)
-def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control, dwell, factors, bound, g, physical,
-              w, state, u, active, section, reference):  # pyright: ignore
+def _simulate(forces, slope, start, base, rate, first, stops, ease, begin, T, control, dwell, factors, bound, g,
+              physical, w, state, u, active, section, reference):  # pyright: ignore
     """Fill state, u, active, section, reference; w is overwritten by what acted.
 
     RUNNING follows the reference. LANDING (one step between sections) asks for standstill, HELD (one more) reaches it
     exactly; the residual speed is at most T w_bar, so that w keeps its bound. WAITING counts the dwell. At standstill
-    u holds the train against gradient and resistance."""
+    u holds the train against gradient and resistance. Efforts are shares of the force on the train's own mass, so what
+    a load leaves of them is ease[leg]."""
     RUNNING, LANDING_STEP, HELD, WAITING, DONE = 0, 1, 2, 3, 4
     gain, least, greatest, slew, ended, overrun = control
     steps, runs = w.shape
     sections = first.shape[0] - 1
     for r in range(runs):
-        s, v, effort = begin[0], begin[1], 0.0
+        s, v = begin[0], begin[1]
+        effort = 0.0 if v > 0.0 else _effort(0.0, s, v, forces, slope)  # at rest it is held
         mode, leg, piece, waited, departed = RUNNING, 0, 0, 0, False
         for k in range(steps):
             wanted = 0.0
@@ -192,8 +207,9 @@ def _simulate(forces, slope, start, base, rate, first, stops, begin, T, control,
                 # past the stop it brakes to stand at once
                 a_asked = 0.5 * rate[piece] + gain * (wanted - v) if square > 0.0 else -v / T
                 asked = _effort(a_asked, s, v, forces, slope)
-                asked = min(max(asked, least), greatest)
-                effort = min(max(asked, effort - slew * T), effort + slew * T)
+                asked = min(max(asked, least * ease[leg]), greatest * ease[leg])
+                change = slew * ease[leg] * T
+                effort = min(max(asked, effort - change), effort + change)
                 if departed:  # brakes bring the train to a stand, not backwards
                     effort = max(effort, _effort(-v / T, s, v, forces, slope))
             else:

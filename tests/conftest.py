@@ -76,6 +76,11 @@ class Wanders(Half):
         return Estimate(np.where(self.numbers == 2, np.nan, self.x))
 
 
+class Blank(Half):
+    def estimate(self):
+        return Estimate(self.x * np.nan)
+
+
 class Dies(Half):
     def update(self, y, received):
         super().update(y, received)

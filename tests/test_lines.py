@@ -10,8 +10,8 @@ from railstate.benchmarks.drive import drive, prepare
 from railstate.estimators.interface import Estimate, Estimator
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
-from railstate.scenarios.line import read_line, read_train
-from railstate.scenarios.metro_plant import level
+from railstate.scenarios.line import Line, read_line, read_train
+from railstate.scenarios.metro_plant import GRAVITY, climb, level
 from railstate.scenarios.randomness import Streams
 
 VARIANTS = ("switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
@@ -44,6 +44,42 @@ def pair(tmp_path):
     (tmp_path / "track.json").write_text(json.dumps(track()))
     (tmp_path / "train.json").write_text(json.dumps(train()))
     return {"plant.line": str(tmp_path / "track.json"), "plant.train": str(tmp_path / "train.json")}
+
+
+def test_the_plant_climbs_what_the_line_says():
+    """Gradients a tenth of a metre apart on lines up to 60 km long, beginning before zero."""
+    random = np.random.default_rng(5)
+    for _ in range(40):
+        edges = np.unique(np.round(random.uniform(-800, 10.0 ** random.uniform(3, 4.8), 30), 1))
+        pairs = [[float(edges[0]) - 50.0, 0.01], *([float(s), float(random.uniform(-0.03, 0.03))] for s in edges)]
+        line = Line(stops=[float(edges[0]), float(edges[-1])], speed_limits=[[pairs[0][0], 20.0]], gradients=pairs)
+        slope = line.slope(0.1)
+        at = np.concatenate([random.uniform(edges[0] - 900, edges[-1] + 900, 300), edges, edges - 0.05, edges + 0.05])
+        found = np.array([climb(s, slope) for s in at])
+        np.testing.assert_allclose(found, GRAVITY * line.gradient(at) / 1.1, rtol=0, atol=1e-14)
+
+
+def test_loads_change_what_the_train_can_do_and_nothing_else(pair):
+    """On each section the input is told as a share of the force on the train's own mass: the plant without loads,
+    driven by it and by the disturbance, gives the truth again; the force itself stays within what the controller
+    may ask."""
+    loads = [80000.0, 130000.0, 110000.0]
+    setting = load("ningbo-metro", {**pair, "plant.loads": loads}).setting("switching")
+    world = setting.world(Streams(3, "ningbo-metro", "switching", range(3)))
+    model = setting.design_model({}, world.initial_mean)
+    gain = np.array([[0.02], [0.2]])
+    x, worst = world.truth[0], 0.0
+    for k in range(1, world.steps):
+        expected = model.transition(x, world.u[k], k, 1.0) + gain * world.extra["disturbance"][k]
+        x = world.truth[k]
+        worst = max(worst, np.abs(expected - x)[:, world.active[k]].max(initial=0.0))
+    assert worst < 1e-6
+    share = world.u[:, 0] * np.array(loads)[world.window] / 100000.0
+    assert share.max() <= 0.85 + 1e-12 and share.min() >= -1 - 1e-12
+    plain = load("ningbo-metro", pair).setting("switching").world(Streams(3, "ningbo-metro", "switching", range(3)))
+    assert world.active.sum() > plain.active.sum()  # the heavy sections take longer
+    with pytest.raises(InputError, match="loads has 2 entries for 3 sections"):
+        load("ningbo-metro", {**pair, "plant.loads": loads[:2]})
 
 
 class Echo(Estimator):
@@ -180,7 +216,7 @@ def change(table, *path):
     ("track", ("speed limits", {}), "needs units"),
     ("track", ("gradients", "values", [[0.0, 85.0]]), "cannot climb 85.0 per mille from 0 m on"),
     ("track", ("gradients", "values", [[0.0, 400.0]]), "at most 0.2"),
-    ("train", ("mass", "value", -1), "mass: Input should be greater than 0"),
+    ("train", ("mass", "value", -1), '"mass" must be more than 0'),
     ("train", ("mass", None), "\"mass\" is missing"),
     ("train", ("max traction force", "unit", "lbf"), "unit 'lbf' of \"max traction force\""),
     ("train", ("max reg braking force", "value", -10), "cannot brake"),

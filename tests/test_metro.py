@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from railstate.benchmarks.plan import find
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
@@ -42,7 +43,9 @@ def page_acceleration(s, v, u):
 
 
 def test_the_first_variant_is_switching_and_all_eight_are_there():
-    assert tuple(load("ningbo-metro").variants) == (
+    scenario, variants = find("ningbo-metro")
+    assert scenario.requested == {"whole-line"}
+    assert variants == (
         "switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
 
 

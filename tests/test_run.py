@@ -144,6 +144,46 @@ def test_what_an_estimator_raises_costs_only_its_run(railstate: Command) -> None
     assert "bit-identical to the row in out" in fine.out
 
 
+def test_runs_without_a_scored_step_are_rows(railstate: Command) -> None:
+    done = railstate(*CART, "--estimators", "blank,half", "--runs", 3, "--out", "out")
+    assert done.code == 0, done.err
+    assert rows("out").groupby("estimator")["status"].unique().map(list).to_dict() == {
+        "blank": ["diverged"], "half": ["ok"]}
+    refused = railstate(*CART, "--set", "score.skip=40")
+    assert refused.code == 2 and "score.skip = 40 s leaves nothing" in refused.err
+
+
+def test_two_scenarios_of_one_name_are_told_apart_or_refused(railstate: Command) -> None:
+    text = Path("cart.toml").read_text()
+    Path("same.toml").write_text(text.replace("a cart on a line", "the same under another title"))
+    Path("other.toml").write_text(text.replace("R = [[1]]", "R = [[2]]"))
+    refused = railstate("run", "cart.toml", "other.toml", "--plugin", "half.py", "--runs", 2)
+    assert refused.code == 2 and "other.toml and cart.toml are both named cart" in refused.err
+    railstate(*CART, "--estimators", "half", "--runs", 2, "--out", "out")
+    again = railstate("run", "same.toml", "--plugin", "half.py", "--estimators", "half", "--runs", 2, "--out", "out")
+    assert again.code == 0, again.err  # a title changes no row
+
+
+def test_a_variant_on_request_and_files_from_the_scenarios_own_folder(railstate: Command) -> None:
+    Path("sub").mkdir()
+    Path("sub/K.csv").write_text("0.5\n0.1\n")
+    Path("sub/mine.toml").write_text(
+        Path("cart.toml").read_text().replace('[estimators.half]\nplugin = "half"', '[estimators.fixed]\n'
+                                              'plugin = "fixed-gain"\nparameters = { gain = "K.csv" }')
+        + '[variants.long]\ndefault = false\ntitle = "on request"\n')
+    run = ("run", "sub/mine.toml", "--runs", 2, "--jobs", 1, "--out", "out")
+    done = railstate(*run)
+    assert done.code == 0, done.err
+    assert set(rows("out")["variant"]) == {"calm", "rough"}
+    assert railstate("run", "sub/mine.toml/long", "--runs", 2, "--jobs", 1, "--out", "asked").code == 0
+    Path("sub/K.csv").write_text("0.6\n0.1\n")
+    refused = railstate(*run)
+    assert refused.code == 2 and "fixed.parameters.gain" in refused.err and len(refused.err) < 1000
+    Path("sub/K.csv").unlink()
+    refused = railstate(*run)
+    assert refused.code == 2 and "K.csv: there is no such file" in refused.err
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_plug_in_that_dies_costs_only_its_rows(railstate: Command, jobs: int) -> None:
     done = railstate("run", "cart.toml/calm", "--plugin", "half.py", "--estimators", "half,dies", "--runs", 6,
