@@ -17,7 +17,7 @@ from .latency import timing_table
 from .plan import Plan, Task
 from .runner import Machinery, run
 from .store import Store
-from .summary import cell_tables, summarise, to_latex, to_markdown
+from .summary import cell_tables, outage_tables, summarise, to_latex, to_markdown, window_tables
 from .verdicts import headlines, short_verdicts
 
 
@@ -78,6 +78,13 @@ def write_tables(store: Store) -> None:
         stem = f"tables/{scenario}~{variant}"
         store.write_text(f"{stem}.md", to_markdown(key, frame, notes))
         store.write_text(f"{stem}.tex", to_latex(key, frame, notes))
+    for key, frame in outage_tables(rows):
+        store.write_text(f"tables/{key.replace('/', '~')}~outages.csv", frame.to_csv(index=False))
+    for title, frame in window_tables(rows, manifest):
+        cell, _, what = title.partition(": ")
+        stem = f"tables/{cell.replace('/', '~')}~{what.split()[2]}"
+        store.write_text(f"{stem}.md", to_markdown(title, frame, []))
+        store.write_text(f"{stem}.tex", to_latex(title, frame, []))
 
 
 def notes_of(manifest: dict, scenario: str, variant: str) -> list[str]:
@@ -92,12 +99,17 @@ def print_results(store: Store) -> None:
     rows, manifest = store.rows(), store.manifest()
     summary = summarise(rows)
     tables = cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest))
+    windows: dict[str, list[tuple[str, pd.DataFrame]]] = {}
+    for title, parts in window_tables(rows, manifest):
+        windows.setdefault(title.partition(": ")[0], []).append((title, parts))
     for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
         told: set[str] = set()
         for key, frame in variants:
             notes = notes_of(manifest, *key.split("/"))
             print_table(key, frame, [note for note in notes if note not in told])
             told.update(notes)
+            for title, parts in windows.pop(key, []) if len(told) == len(notes) else []:
+                print_table(title, parts)
         for line in headlines(rows, manifest, scenario):
             print(f"{scenario}: {line}")
         print()

@@ -15,12 +15,12 @@ def description(plan: Plan) -> dict[str, Any]:
         setting = cell.setting()
         config = setting.config
         about = scenarios.setdefault(cell.scenario, {
-            "title": config.title, "source": config.source, "kind": setting.kind, "period": config.time.period,
+            "title": config.title, "source": config.source, "kind": setting.kind,
             "scored": config.score.at,
             "shown": {**setting.shown, **{item.name: item.shown for item in setting.quantities() if item.shown}},
             "quantities": [item.name for item in setting.quantities()], "table": setting.table(), "variants": {}})
-        about["variants"][cell.variant] = {"notes": config.notes, "fitted": config.fitted, "title": config.title,
-                                           "period": config.time.period}
+        about["variants"][cell.variant] = {"notes": setting.notes, "fitted": config.fitted, "title": config.title,
+                                           "period": setting.sampling_period}
     plugins = {entry.plugin: estimators()[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
     return {
         "scenarios": scenarios,

@@ -16,7 +16,7 @@ from ..estimators.interface import Estimate, Estimator
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from ..scenarios.setting import Setting
-from ..scenarios.world import Step, World
+from ..scenarios.world import Step, World, step_times
 from .scoring import Scored, Scorer
 from .windows import WindowErrors
 
@@ -41,7 +41,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
           watch: Watch | None = None) -> Driven:
     """Run a designed estimator through a world and score it as the scenario says. `watch` sees each scored step."""
     score = setting.config.score
-    skip = round(score.skip / setting.config.time.period)
+    skip = int(np.searchsorted(step_times(world, setting.config.time.period), score.skip - 1e-9))
     runs = world.initial_mean.shape[1]
     scorer = Scorer(setting.quantities(), runs, world.steps, skip, dict(score.divergence), model.performance)
     windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), runs)

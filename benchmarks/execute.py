@@ -17,7 +17,7 @@ from ..estimators.registry import estimators, load_file
 from ..scenarios.errors import Infeasible
 from ..scenarios.randomness import Streams
 from ..scenarios.setting import Setting
-from ..scenarios.world import Step, World
+from ..scenarios.world import Step, World, step_times
 from .drive import Driven, drive, prepare
 from .plan import Task
 
@@ -82,10 +82,11 @@ class _Worlds:
         """What the figures of an open-loop setting want of the truth, for the kept runs."""
         out = []
         extra: dict[str, np.ndarray] = getattr(self.shared, "extra", {})
+        times = step_times(self.shared, self.setting.config.time.period)
         for position, run in enumerate(self.task.runs):
             if run < self.task.keep:
                 for name, values in extra.items():
-                    out.append(_trajectory(self.task, "", run, self.setting, np.arange(len(values)), name,
+                    out.append(_trajectory(self.task, "", run, times, np.arange(len(values)), name,
                                            values[:, position].astype(float)))
         return out
 
@@ -117,7 +118,7 @@ class _Block:
         else:
             self.rows.append(self._table(runs, driven))
             self.curves += _curves(self.task, self.label, self.setting, driven)
-            self.kept += watch.tables()
+            self.kept += watch.tables(step_times(driven.world, self.setting.config.time.period))
             if self.worlds.closed_loop:
                 self.kept += watch.extras(driven.world)
 
@@ -199,7 +200,7 @@ class FirstSteps:
 
 def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> list[pa.Table]:
     """Sums over the runs per step, a table a quantity; NEES under the quantity name `nees`."""
-    curves = driven.scored.curves
+    curves, times = driven.scored.curves, step_times(driven.world, setting.config.time.period)
     steps = np.flatnonzero(curves["active"] > 0)
     tables = []
     for q, item in enumerate(setting.quantities()):
@@ -213,19 +214,19 @@ def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> li
     n = len(steps)
     return [pa.table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
-        "step": pa.array(steps, pa.int32()), "time": steps * setting.config.time.period, "quantity": [name] * n,
+        "step": pa.array(steps, pa.int32()), "time": times[steps], "quantity": [name] * n,
         "active": active, "squared": squared, "fourth": fourth, "error": error,
     }) for name, active, squared, fourth, error in tables]
 
 
-def _trajectory(task: Task, label: str, run: int, setting: Setting[Any], steps: np.ndarray, name: str,
+def _trajectory(task: Task, label: str, run: int, times: np.ndarray, steps: np.ndarray, name: str,
                 truth: np.ndarray, estimate: np.ndarray | None = None, sd: np.ndarray | None = None) -> pa.Table:
     n = len(steps)
     nothing = np.full(n, np.nan)
     return pa.table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
         "run": pa.array([run] * n, pa.int32()), "step": pa.array(steps, pa.int32()),
-        "time": steps * setting.config.time.period, "name": [name] * n, "truth": truth,
+        "time": times[steps], "name": [name] * n, "truth": truth,
         "estimate": nothing if estimate is None else estimate, "sd": nothing if sd is None else sd,
     })
 
@@ -254,8 +255,8 @@ class _Keeper:
         for name, values in row.items():
             self.seen.setdefault(name, []).append(values)
 
-    def tables(self) -> list[pa.Table]:
-        """One table per kept run and name; all parts (K, kept runs)."""
+    def tables(self, times: np.ndarray) -> list[pa.Table]:
+        """One table per kept run and name; all parts (K, kept runs). times (K,) of all steps, s."""
         if not self.seen:
             return []
         seen = {name: np.array(values) for name, values in self.seen.items()}
@@ -278,14 +279,15 @@ class _Keeper:
                              ("diversity", seen.get("diversity", np.empty((0, 0))))):
             if len(values):
                 columns[name] = (np.full_like(values, np.nan), values)
-        return [_trajectory(self.task, self.label, self.runs[position], self.setting, seen["step"], name,
+        return [_trajectory(self.task, self.label, self.runs[position], times, seen["step"], name,
                             *(part[:, n] for part in parts))
                 for name, parts in columns.items() for n, position in enumerate(self.positions)]
 
     def extras(self, world: World) -> list[pa.Table]:
         """A closed-loop world's own figures data, which belong to this estimator."""
         extra: dict[str, np.ndarray] = getattr(world, "extra", {})
-        return [_trajectory(self.task, self.label, self.runs[p], self.setting, np.arange(len(values)), name,
+        times = step_times(world, self.setting.config.time.period)
+        return [_trajectory(self.task, self.label, self.runs[p], times, np.arange(len(values)), name,
                             np.asarray(values)[:, p].astype(float))
                 for p in self.positions for name, values in extra.items()]
 

@@ -39,7 +39,7 @@ def _lines(plan: Plan, rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
                        "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
                        "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
                        "throughput_ns": throughput.get((cell.scenario, cell.variant, label), np.nan),
-                       "sampling_period_s": cell.setting().config.time.period}
+                       "sampling_period_s": cell.setting().sampling_period}
 
 
 def _throughput(rows: pd.DataFrame) -> dict[Any, float]:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from .statistics import mean_se, pooled_rmse
+from .windows import window_columns
 from .wording import numeric, shown_unit
 
 COLUMNS = ("scenario", "variant", "estimator", "metric", "quantity", "unit", "mean", "standard_error", "runs")
@@ -71,6 +72,35 @@ def cell_tables(summary: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.D
         yield f"{scenario}/{variant}", frame[order]
 
 
+def window_tables(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """(scenario/variant: quantity by window, table) of cells with several named windows: a line a window, a column an
+    estimator, pooled RMSE with its standard error in the scenario's shown unit."""
+    for (scenario, variant), part in rows.groupby(["scenario", "variant"], sort=False):
+        about = manifest["scenarios"][scenario]
+        for quantity, columns in window_columns(rows.columns, about["quantities"]).items():
+            given = [(window, column) for window, column in columns if part[column].notna().any()]
+            if len(given) < 2:
+                continue
+            name, factor = shown_unit(about, "rmse", quantity, given[0][1].rpartition(":")[2])
+            lines = [{"window": window} | {str(label): _pair(*(factor * x for x in pooled_rmse(mine[column].dropna())))
+                                           for label, mine in part.groupby("estimator", sort=False)}
+                     for window, column in given]
+            unit = f" [{name}]" if name else ""
+            yield f"{scenario}/{variant}: rmse of {quantity}{unit} by window", pd.DataFrame(lines)
+
+
+def outage_tables(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """(scenario/variant, table) of cells whose runs have an outage each: a line a place, in the order of the places,
+    a column an estimator, position error at the outage's end, m."""
+    begin, error = "begin:outage:s", "rmse:position-outage-end:m"
+    if {begin, error} <= set(rows.columns):
+        for (scenario, variant), part in rows.groupby(["scenario", "variant"], sort=False):
+            table = part.pivot_table(error, begin, "estimator", sort=False)
+            if len(table) > 1:
+                table = table.sort_index()[[label for label in part["estimator"].unique() if label in table]]
+                yield f"{scenario}/{variant}", table.rename_axis("outage begins [s]").reset_index()
+
+
 _STATUS = ("diverged", "failed", "crashed", "timeout", "infeasible")
 _LAST = ("latency [us]", "ns/run-step", "verdict")
 
@@ -81,7 +111,7 @@ def _number(value: float) -> str:
 
 def _pair(mean: float, error: float) -> str:
     """`0.1234 ±0.0012`: the error with two digits, the mean to the same place."""
-    if not np.isfinite(error) or error <= 0:
+    if not np.isfinite(error) or error <= 1e-9 * abs(mean):  # runs that differ by rounding alone
         return _number(mean)
     if abs(mean) >= 1e5 or max(abs(mean), error) < 1e-4:
         return f"{mean:.2e} ±{error:.0e}"

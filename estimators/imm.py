@@ -11,8 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Modes, Portion
+from ..scenarios.model import DesignModel, Modes, Portion, whole_steps
 from ..scenarios.randomness import RunRandom
 from . import stochastic_m_transition as transitions
 from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
@@ -123,12 +122,6 @@ class ModeFilters(Estimator):
         return Estimate(self.mean, parameter=parameter, covariance=covariance)
 
 
-def whole_step(estimator: Estimator, portion: Portion) -> None:
-    """Raise Unsupported for anything but one sampling period."""
-    if not np.all(np.asarray(portion) == 1.0):
-        raise Unsupported(f"{type(estimator).__name__} predicts whole sampling periods only: its modes are discrete")
-
-
 class ModelTransition(Parameters):
     """p(theta'|theta) of the Markov chain over the modes."""
 
@@ -168,7 +161,7 @@ class InteractingMultipleModel(ModeFilters):
 
     def predict(self, u: Array, portion: Portion) -> None:
         """Whole sampling periods only: raises Unsupported otherwise."""
-        whole_step(self, portion)
+        whole_steps(portion, type(self).__name__)
         _mix(self.log_transition, self.x, self.P, self.logw, self.alive)
         drive = np.zeros_like(self.x)
         for i, j, l in np.ndindex(self.modes.B.shape[1], len(self.modes.grid), len(u)):
@@ -212,7 +205,7 @@ class KnownParameterKalman(ModeFilters):
 
     def predict(self, u: Array, portion: Portion) -> None:
         """Whole sampling periods only: raises Unsupported otherwise."""
-        whole_step(self, portion)
+        whole_steps(portion, type(self).__name__)
         theta, grid = self.told[0], self.modes.grid[self.order]
         A, B = self.modes.A[self.order], self.modes.B[self.order]
         drive = np.zeros_like(self.x)

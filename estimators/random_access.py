@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Linear, Portion, Reception, product
+from ..scenarios.model import DesignModel, Linear, Portion, Reception, product, whole_steps
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
 from .kalman import Kalman
@@ -173,8 +173,7 @@ class RandomAccess(Estimator):
         self._mean = model.initial_mean
 
     def predict(self, u: Array, portion: Portion) -> None:
-        if np.any(np.asarray(portion) != 1.0):
-            raise Unsupported(f"RandomAccess predicts whole sampling periods only, not {portion} of one")
+        whole_steps(portion, type(self).__name__)
         self._mean = self.model.transition(self._mean, u, self._now.k, 1.0)
         self._now = self._now.predicted
 

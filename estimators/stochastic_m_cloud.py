@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Modes, Portion
+from ..scenarios.model import DesignModel, Modes, Portion, whole_steps
 from ..scenarios.randomness import RunRandom
 from . import stochastic_m_factorised as factorised
 from . import stochastic_m_full as full
@@ -163,8 +163,7 @@ class GridParticles(Estimator):
 
     def predict(self, u: Array, portion: Portion) -> None:
         """Whole sampling periods only, since the modes are discrete: raises Unsupported otherwise."""
-        if not np.all(np.asarray(portion) == 1.0):
-            raise Unsupported(f"{type(self).__name__} predicts whole sampling periods only: its modes are discrete")
+        whole_steps(portion, type(self).__name__)
         if self.pending:
             self._run(*self.nothing, True)
         self.inputs, self.uniforms = np.ascontiguousarray(u.T), self._draws()

@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo
 
 from .. import scenarios
 from ..scenarios.errors import Infeasible, InputError, Unsupported
-from ..scenarios.model import DesignModel, Portion
+from ..scenarios.model import DesignModel, Portion, whole_steps
 from ..scenarios.randomness import RunRandom
 from . import lmi, lmi_decay
 from .design_cache import remember
@@ -123,8 +123,7 @@ class ConstantGain(Estimator):
         self._bound = None if self.bound is None else np.array([self.bound])
 
     def predict(self, u: Array, portion: Portion) -> None:
-        if not isinstance(portion, float) or portion != 1.0:
-            raise Unsupported(f"{type(self).__name__} steps whole sampling periods only")
+        whole_steps(portion, type(self).__name__)
         apply(self._A, self._mean, self._moved)
         apply(self._B, u, self._driven)
         np.add(self._moved, self._driven, out=self._mean)

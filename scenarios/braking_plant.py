@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from .model import Array, Bounds, DesignModel, Linear, Modes, Portion, linear_model
+from .model import Array, Bounds, DesignModel, Linear, Modes, Portion, linear_model, product, whole_steps
 
 STATES = ("displacement", "speed", "control-acceleration", "target-acceleration")
 PARAMETER = "f"
@@ -129,6 +129,7 @@ def augmented_model(told: Told, walk: Walk) -> DesignModel:
         return np.stack([plant.A1[i, 3] * x[3] + plant.B1[i, 0] * target for i in range(3)])
 
     def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        whole_steps(portion, "this model of the brake")
         return np.concatenate([plant.step(x[:4], x[4], u[0]), x[4:]])
 
     def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
@@ -139,18 +140,12 @@ def augmented_model(told: Told, walk: Walk) -> DesignModel:
         out[4, 4] = 1.0
         return out
 
-    def measurement(x: Array, k: int) -> Array:
-        out = np.zeros((C.shape[0], *x.shape[1:]))
-        for row, column in zip(*np.nonzero(C), strict=True):
-            out[row] += C[row, column] * x[column]
-        return out
-
     return DesignModel(
         states=(*STATES, PARAMETER),
         measurements=told.measurements,
         period=told.period,
         transition=transition,
-        measurement=measurement,
+        measurement=lambda x, k: product(C, x),
         transition_jacobian=jacobian,
         measurement_jacobian=lambda x, k: C[:, :, None],
         process_covariance=lambda x, u, k, portion: walk.covariance(sensitivity(x, u[0]), told.speed_variance),

@@ -6,26 +6,20 @@ from __future__ import annotations
 
 import json
 import reprlib
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, PositiveFloat, field_validator, model_validator
+from pydantic import BeforeValidator, Field, PositiveFloat, WithJsonSchema, field_validator, model_validator
 
-from .metro_plant import GRAVITY, KMH, Forces, Slope, slope_grid
+from .metro_plant import GRAVITY, Forces, Slope, slope_grid
 from .schema import Strict
+from .units import ACCELERATIONS, FORCES, KMH, LENGTHS, MASSES, POWERS, SHARES, SLOPES, SPEEDS
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Powers = Annotated[list[float], Field(min_length=5, max_length=5)]
-SPEEDS = {"km/h": 1 / KMH, "m/s": 1.0}
-LENGTHS = {"m": 1.0, "km": 1000.0}
-FORCES = {"kN": 1e3, "N": 1.0}
-POWERS = {"kW": 1e3, "W": 1.0, "MW": 1e6}
-MASSES = {"kg": 1.0, "t": 1e3}
-SHARES = {"%": 1e-2, "-": 1.0}
-SLOPES = {"permil": 1e-3, "%": 1e-2, "-": 1.0}
-ACCELERATIONS = {"m/s^2": 1.0}
 
 
 class Line(Strict):
@@ -147,6 +141,16 @@ def read_train(path: str) -> Train:
     return _checked(Train, train, path)
 
 
+def _file_or_table(read: Callable[[str], Any]) -> Any:
+    """What a scenario may hold in place of a table: the path of a file."""
+    return BeforeValidator(lambda given: read(given) if isinstance(given, str) else given)
+
+
+_EITHER = WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
+LineOrFile = Annotated[Line, _file_or_table(read_line), _EITHER]
+TrainOrFile = Annotated[Train, _file_or_table(read_train), _EITHER]
+
+
 def _limited(force: float, constant: float, power: float) -> list[float]:
     """Share of `force` that constant + power / v leaves, as coefficients in km/h."""
     if not np.isfinite(power) or force <= 0:
@@ -157,8 +161,8 @@ def _limited(force: float, constant: float, power: float) -> list[float]:
 def _resistances(power: int) -> dict[str, float]:
     """Units of the coefficient of V^power and their factor to N per (km/h)^power."""
     below = {0: "", 1: "/({})", 2: "/({})^2"}[power]
-    return {unit + below.format(speed): force * (KMH / 1.0 if speed == "m/s" else 1.0) ** -power
-            for unit, force in FORCES.items() for speed in SPEEDS}
+    return {unit + below.format(speed): force * (KMH * scale) ** -power
+            for unit, force in FORCES.items() for speed, scale in SPEEDS.items()}
 
 
 def _checked(kind: Any, table: dict[str, Any], path: str) -> Any:

@@ -14,12 +14,12 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, WithJsonSchema, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from . import metro_plant as compiled
 from .channels import Channel, Ideal
 from .errors import InputError
-from .line import Line, Train, read_line, read_train
+from .line import LineOrFile, Train, TrainOrFile
 from .metro_disturbance import UNTOUCHED, Disturbance, Sensors
 from .metro_trip import Controller, Reference, Trip, check, simulate
 from .model import Bounds, DesignModel, Portion
@@ -39,8 +39,8 @@ class Plant(Strict):
     +-[m, m/s]."""
 
     kind: Literal["metro"]
-    line: Annotated[Line, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
-    train: Annotated[Train, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
+    line: LineOrFile
+    train: TrainOrFile
     loads: list[PositiveFloat] = []
     controller: Controller
     start_speed: NonNegativeFloat
@@ -63,16 +63,6 @@ class Plant(Strict):
         """The train's own mass over that on each section, (sections,)."""
         own = np.ones(len(self.line.stops) - 1)
         return self.train.mass / np.array(self.loads) if self.loads else own
-
-    @field_validator("line", mode="before")
-    @classmethod
-    def _line_file(cls, value: Any) -> Any:
-        return read_line(value) if isinstance(value, str) else value
-
-    @field_validator("train", mode="before")
-    @classmethod
-    def _train_file(cls, value: Any) -> Any:
-        return read_train(value) if isinstance(value, str) else value
 
 
 class Knowledge(Strict):

@@ -10,10 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .units import KMH
+
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
-KMH = 3.6
 
 
 class Forces(NamedTuple):

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from .line import Line, Train
-from .metro_plant import GRAVITY, KMH, climb, effect, level, share
+from .metro_plant import GRAVITY, climb, effect, level, share
 from .schema import Strict
+from .units import KMH
 
 Array = NDArray[np.float64]
 

@@ -129,6 +129,12 @@ class DesignModel:
         return len(self.measurements)
 
 
+def whole_steps(portion: Portion, who: str) -> None:
+    """Raise Unsupported where a prediction goes a part of a sampling period only."""
+    if not (isinstance(portion, float) and portion == 1.0) and np.any(np.not_equal(portion, 1.0)):
+        raise Unsupported(f"{who} knows whole sampling periods only, not parts of one")
+
+
 def linear_model(
     linear: Linear,
     *,
@@ -144,8 +150,7 @@ def linear_model(
     The matrices are those of whole steps: asked for a part of one, the transition raises Unsupported."""
 
     def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        if not (isinstance(portion, float) and portion == 1.0) and np.any(np.not_equal(portion, 1.0)):
-            raise Unsupported("this linear design model knows whole sampling periods only, not parts of one")
+        whole_steps(portion, "this linear design model")
         moved = product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
         if u.shape[0]:
             drive = product(linear.B(k), u)

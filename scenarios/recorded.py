@@ -8,6 +8,7 @@ One recording makes as many runs as wanted; what separates them is added noise, 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import gcd
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -15,14 +16,15 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from .channels import Channel, Ideal
-from .errors import InputError
+from .errors import InputError, Unsupported
+from .line import LineOrFile, TrainOrFile
 from .model import DesignModel
 from .randomness import RunRandom, Streams
 from .recorded_file import Recording, read_recording
-from .recorded_model import Kinematics, Knowledge
+from .recorded_model import Drive, Kinematics, Knowledge
 from .schema import ScenarioConfig, Strict
-from .setting import Quantity, Setting
-from .world import Trajectory
+from .setting import Outcome, Quantity, Setting
+from .world import Trajectory, World
 
 Array = NDArray[np.float64]
 SENSORS = ("position", "speed", "odometer")
@@ -32,11 +34,15 @@ Span = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 
 class Plant(Strict):
     """recording: path of a CSV or Parquet file. map: role -> column with its unit (`t_s` or `t [s]`); roles: time,
-    position, speed, odometer, reference_position, reference_speed."""
+    position, speed, odometer, control (the share of the greatest force asked for from that time on),
+    reference_position, reference_speed. line, train: tables, or paths of TTOBench files, for the model of the train
+    that `control` drives."""
 
     kind: Literal["recorded"]
     recording: str | None = None
     map: dict[str, str] = {}
+    line: LineOrFile | None = None
+    train: TrainOrFile | None = None
 
     @model_validator(mode="after")
     def _readable(self) -> Plant:
@@ -47,21 +53,35 @@ class Plant(Strict):
 
 class Outage(Strict):
     """No readings of `sensors`: during `windows` [[from, to], ..] (seconds after the start), or for `duration` seconds
-    from a start that is drawn per run (`random`) or moves on by one sample from run to run (`sweep`)."""
+    from a start that is drawn per run (`random`) or goes over all samples where it fits (`sweep`: as many runs have
+    each of them once, fewer are spread evenly)."""
 
     place: Literal["none", "windows", "random", "sweep"] = "none"
     sensors: list[Name] = Field(default=["position"], min_length=1)
     duration: PositiveFloat = 30.0
     windows: list[Span] = Field(default=[])
 
+    @model_validator(mode="after")
+    def _consistent(self) -> Outage:
+        if self.place == "windows" and not self.windows:
+            raise ValueError("place = \"windows\" needs windows = [[from, to], ..]")
+        if any(begin >= end for begin, end in self.windows):
+            raise ValueError("windows = [[from, to], ..] need from < to")
+        return self
+
+    def starts(self, time: Array) -> Array:
+        """The instants of time (K,) at which an outage can begin and end within them."""
+        return time[time <= time[-1] - self.duration + 1e-9]
+
 
 class Sensors(Strict):
     """use: the sensors estimators get, those the recording has. noise: standard deviations added to the readings in m,
-    m/s, m. odometer_step m: it counts in such steps, so that its reading is half of one late on average."""
+    m/s, m. odometer_step m: it counts in such steps, so that its reading is half of one late on average; where left
+    out, taken from the readings."""
 
     use: Annotated[list[Name], Field(min_length=1)]
     noise: dict[Name, NonNegativeFloat]
-    odometer_step: NonNegativeFloat
+    odometer_step: NonNegativeFloat | None = None
     outage: Outage = Outage()
 
 
@@ -74,14 +94,24 @@ class RecordedConfig(ScenarioConfig):
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
-    def _outage_fits(self) -> RecordedConfig:
-        outage = self.sensors.outage
-        if self.plant.recording is not None and outage.place in ("random", "sweep"):
-            time = read_recording(self.plant.recording, self.plant.map).time
-            if outage.duration >= time[-1] - time[0]:
-                raise ValueError(f"sensors.outage.duration: {outage.duration:g} s do not fit into the recording of "
-                                 f"{time[-1] - time[0]:g} s")
+    def _fits_the_recording(self) -> RecordedConfig:
+        if self.plant.recording is None:
+            return self
+        recording, outage = read_recording(self.plant.recording, self.plant.map), self.sensors.outage
+        found = self.heard(recording)
+        if not found:
+            raise ValueError(f"sensors.use has {', '.join(self.sensors.use)}, but plant.map has "
+                             f"{', '.join(recording.measured) or 'no sensor'}: map one of them, or run another variant")
+        self.channel.check(len(found))
+        time = recording.time[1:self.time.steps + 1]
+        if outage.place in ("random", "sweep") and not len(outage.starts(time)):
+            raise ValueError(f"sensors.outage.duration: {outage.duration:g} s do not fit into the recording of "
+                             f"{time[-1] - recording.time[0]:g} s")
         return self
+
+    def heard(self, recording: Recording) -> tuple[str, ...]:
+        """The sensors that are used and recorded, in the order of the measurements."""
+        return tuple(name for name in SENSORS if name in self.sensors.use and name in recording.measured)
 
 
 class Recorded(Setting[RecordedConfig]):
@@ -90,7 +120,7 @@ class Recorded(Setting[RecordedConfig]):
     kind: ClassVar[str] = "recorded"
     Config: ClassVar[type[ScenarioConfig]] = RecordedConfig
     files: ClassVar[tuple[str, ...]] = ("recorded.toml",)
-    user_files: ClassVar[tuple[str, ...]] = ("recording",)
+    user_files: ClassVar[tuple[str, ...]] = ("recording", "line", "train")
     needs_file: ClassVar[str] = "plant.recording"
 
     @property
@@ -104,13 +134,34 @@ class Recorded(Setting[RecordedConfig]):
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """The sensors that are used and recorded, in the order of the measurements. Raises InputError for none."""
-        used, recorded = self.config.sensors.use, self.recording.measured
-        found = tuple(name for name in SENSORS if name in used and name in recorded)
-        if not found:
-            raise InputError(f"{self.config.name}: this variant uses {', '.join(used)}, but plant.map has "
-                             f"{', '.join(recorded) or 'no sensor'}: map one of them, or run another variant")
-        return found
+        """The sensors that are used and recorded, in the order of the measurements."""
+        return self.config.heard(self.recording)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the reference is, and where outages are tried."""
+        if self.config.plant.recording is None:
+            return self.config.notes
+        recording, outage = self.recording, self.config.sensors.outage
+        notes = [*self.config.notes, f"Reference of this recording: {recording.reference}."]
+        if outage.place == "sweep":
+            count = len(outage.starts(recording.time[1:self.config.time.steps + 1]))
+            notes.append(f"The outage of {outage.duration:g} s can begin at {count} samples: {count} runs try each "
+                         "once.")
+        if "odometer" in recording.measured and self.odometer_step:
+            notes.append(f"The odometer counts in steps of {self.odometer_step:g} m: it lags by half of one on "
+                         "average.")
+        return notes
+
+    @property
+    def odometer_step(self) -> float:
+        """The odometer's step in m, as told or as found; 0 for a fine one."""
+        told = self.config.sensors.odometer_step
+        return self.recording.odometer_step if told is None else told
+
+    @property
+    def sampling_period(self) -> float:
+        return float(np.median(self.portions)) * self.config.time.period
 
     @property
     def portions(self) -> Array:
@@ -132,19 +183,18 @@ class Recorded(Setting[RecordedConfig]):
         recording, portions, runs = self.recording, self.portions, len(streams.runs)
         steps, random = len(portions), streams("measurement")
         readings = {name: self._reading(name, random, steps) for name in recording.measured}
-        held = {name: _held(values) for name, values in readings.items()}
-        speed = held.get("speed", np.repeat(recording.speed[:, None], runs, axis=1))[:steps + 1]
-        told = np.diff(held["odometer"], axis=0) if "odometer" in held else (
-            speed[1:] * portions[:, None] * self.config.time.period)
-        y = np.stack([readings[name][1:] for name in self.sensors], axis=1)
-        if "odometer" in self.sensors:
-            half = 0.5 * self.config.sensors.odometer_step
-            begun = _held(recording.measured["odometer"][:, None])[0, 0]
-            y[:, self.sensors.index("odometer")] += recording.position[0] - begun + half
         out = self._outage(streams, steps)
-        hit = np.array([name in self.config.sensors.outage.sensors for name in self.sensors])
-        received = self.config.channel.draw(streams("channel"), steps, len(self.sensors))
-        received &= np.isfinite(y) & ~(out[:, None, :] & hit[None, :, None])
+        arrived = self.config.channel.draw(streams("channel"), steps, len(self.sensors))
+        kept = dict(zip(self.sensors, arrived.transpose(1, 0, 2), strict=True))
+        for name, values in readings.items():
+            there = np.isfinite(values[1:]) & kept.get(name, True)
+            kept[name] = there & ~out if name in self.config.sensors.outage.sensors else there
+        y = np.stack([readings[name][1:] for name in self.sensors], axis=1)
+        received = np.stack([kept[name] for name in self.sensors], axis=1)
+        if "odometer" in self.sensors:
+            first = int(np.isfinite(recording.measured["odometer"]).argmax())
+            begun = recording.measured["odometer"][first] - recording.position[first]
+            y[:, self.sensors.index("odometer")] += 0.5 * self.odometer_step - begun
         truth = self._truth(steps)
         start = np.zeros((truth.shape[1], runs))
         start[0], start[1] = recording.position[0], recording.speed[0]
@@ -152,17 +202,52 @@ class Recorded(Setting[RecordedConfig]):
         window = np.where(out, 0, -1)
         window[ends] = 1
         return Trajectory(
-            truth=np.repeat(truth[:, :, None], runs, axis=2), u=np.stack([told, speed[1:]], axis=1),
+            truth=np.repeat(truth[:, :, None], runs, axis=2), u=self._told(readings, kept),
             y=np.where(received, y, 0.0), received=received, active=np.ones((steps, runs), dtype=bool),
             portions=portions, initial_mean=start, extra={"outage": out.astype(float)},
             windows=("outage", "outage-end") if self.config.sensors.outage.place != "none" else (),
             window=window.astype(np.int16))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
-        kinematics = Kinematics(self.resolve_knowledge(knowledge), "odometer" in self.sensors, self.config.time.period)
-        portions = self.portions
+        told: Knowledge = self.resolve_knowledge(knowledge)
+        plant, recording, portions = self.config.plant, self.recording, self.portions
+        if told.motion == "odometer" and not {"odometer", "speed"} & set(recording.measured):
+            raise Unsupported("dead reckoning needs an odometer or a speed in plant.map")
+        if told.motion == "train" and (plant.line is None or plant.train is None or recording.control is None):
+            raise Unsupported("motion = \"train\" needs the control in plant.map (control=u_share), and the line and "
+                              "the train (--line, --train, or plant.line and plant.train)")
+        drive = (Drive(plant.train.forces, plant.line.slope(plant.train.rotating)) if plant.train and plant.line
+                 else None)
+        kinematics = Kinematics(told, "odometer" in self.sensors, self.config.time.period, drive)
         counted = np.diff(_held(self.recording.measured.get("odometer", np.zeros(len(portions) + 1))[:, None])[:, 0])
         return kinematics.model(self.sensors, initial_mean, portions, counted)
+
+    def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
+        """Where the run's outage begins, s after the start of the trip; NaN without one."""
+        assert isinstance(world, Trajectory)
+        if not world.windows:
+            return {}
+        out = world.extra["outage"] > 0
+        began = (self.recording.time[1:] - self.recording.time[0])[out.argmax(axis=0)]
+        return {("begin", "outage", "s"): np.where(out.any(axis=0), began, np.nan)}
+
+    def _told(self, readings: Mapping[str, Array], kept: Mapping[str, NDArray[np.bool_]]) -> Array:
+        """The input (K, 2 or 3, S) of each interval: distance and speed by the odometer and the speed sensor, as far as
+        they are heard (the last reading until the next), each from the other where there is only one; the control."""
+        heard = {name: _held(np.concatenate([values[:1], np.where(kept[name], values[1:], np.nan)]))
+                 for name, values in readings.items() if name != "position"}
+        steps, runs = next(iter(kept.values())).shape
+        length = (self.portions * self.config.time.period)[:, None]
+        distance, speed = np.zeros((steps, runs)), np.zeros((steps, runs))
+        if "speed" in heard:
+            speed = heard["speed"][1:]
+            distance = speed * length
+        if "odometer" in heard:
+            distance = np.diff(heard["odometer"], axis=0)
+            speed = speed if "speed" in heard else distance / length
+        control = self.recording.control
+        asked = [] if control is None else [np.repeat(control[:steps, None], runs, axis=1)]
+        return np.stack([distance, speed, *asked], axis=1)
 
     def _reading(self, name: str, random: RunRandom, steps: int) -> Array:
         """The readings of one sensor (K + 1, S), the recording's with noise added; NaN where there is none."""
@@ -179,8 +264,8 @@ class Recorded(Setting[RecordedConfig]):
             for begin, end in outage.windows:
                 out |= (time >= begin) & (time <= end)
         elif outage.place != "none":
-            starts = time[time[:, 0] <= time[-1, 0] - outage.duration + 1e-9, 0]
-            chosen = (np.array(streams.runs) % len(starts) if outage.place == "sweep"
+            starts = outage.starts(time[:, 0])
+            chosen = (np.array(streams.runs) * _stride(len(starts)) % len(starts) if outage.place == "sweep"
                       else streams("outage").integers(0, len(starts) - 1))
             out = (time >= starts[chosen]) & (time < starts[chosen] + outage.duration - 1e-9)
         return out
@@ -195,11 +280,17 @@ class Recorded(Setting[RecordedConfig]):
         if "odometer" in self.sensors:
             counted = recording.measured["odometer"]
             there = np.isfinite(counted)
-            counted = counted - counted[there][0] + 0.5 * self.config.sensors.odometer_step
+            counted = counted - counted[there][0] + 0.5 * self.odometer_step
             slope, offset = np.polyfit(counted[there], travelled[there], 1)
             parts += [travelled - (travelled - offset) / slope, np.full(len(travelled), slope - 1)]
         parts.append(np.gradient(recording.speed, recording.time))
         return np.stack(parts, axis=1)[1:steps + 1]
+
+
+def _stride(count: int) -> int:
+    """A step through `count` places that meets each of them once, any few evenly spread (golden section)."""
+    near = range(1, count + 1)
+    return min((step for step in near if gcd(step, count) == 1), key=lambda step: abs(step - 0.618 * count))
 
 
 def _held(values: Array) -> Array:

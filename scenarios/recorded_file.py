@@ -14,23 +14,38 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from .units import LENGTHS, SHARES, SPEEDS, TIMES
+
 Array = NDArray[np.float64]
 
-TIMES = {"s": 1.0, "ms": 1e-3, "min": 60.0}
-LENGTHS = {"m": 1.0, "km": 1e3}
-SPEEDS = {"m/s": 1.0, "mps": 1.0, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6}
-ROLES = {"time": TIMES, "position": LENGTHS, "speed": SPEEDS, "odometer": LENGTHS, "reference_position": LENGTHS,
-         "reference_speed": SPEEDS}
+ROLES = {"time": TIMES, "position": LENGTHS, "speed": SPEEDS, "odometer": LENGTHS, "control": SHARES,
+         "reference_position": LENGTHS, "reference_speed": SPEEDS}
+STANDING, OFTEN = 1.0, 0.1
+"""An odometer is coarse where it stands still at more than this share of the samples at which the train moves (m/s)."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """time (N,) s, increasing; position, speed (N,): the reference; measured: the readings (N,), NaN where none."""
+    """time (N,) s, increasing; position, speed (N,): the reference; measured: the readings (N,), NaN where none.
+
+    control (N,): the share of the greatest force that is asked for from each time on, None where it is not recorded.
+    reference: in words, what position and speed are."""
 
     time: Array
     position: Array
     speed: Array
     measured: dict[str, Array] = field(repr=False)
+    control: Array | None = field(repr=False, default=None)
+    reference: str = ""
+
+    @property
+    def odometer_step(self) -> float:
+        """The odometer's step in m: its usual increment where it often stands still while the train moves, else 0."""
+        counted = self.measured["odometer"]
+        there = np.isfinite(counted)
+        increments = np.diff(counted[there])[self.speed[there][1:] > STANDING]
+        coarse = increments.size and np.mean(increments == 0) > OFTEN and increments.max() > 0
+        return float(np.median(increments[increments > 0])) if coarse else 0.0
 
 
 def read_recording(path: str, columns: Mapping[str, str]) -> Recording:
@@ -68,13 +83,24 @@ def _read(path: str, columns: tuple[tuple[str, str], ...], stamp: int) -> Record
                          f"{back[0] + 2})")
     position = found.get("reference_position", found.get("position", time))
     speed = found.get("reference_speed", found.get("speed", np.gradient(position, time)))
+    named = dict(columns)
+    reference = (f"position: {named['reference_position']}" if "reference_position" in found
+                 else f"position: the reading {named['position']} itself") + "; speed: " + (
+        named["reference_speed"] if "reference_speed" in found else f"the reading {named['speed']} itself"
+        if "speed" in found else "the derivative of that position")
     for name, values in (("position", position), ("speed", speed)):
         gaps = np.flatnonzero(np.isnan(values))
         if len(gaps):
             raise ValueError(f"{path}: the reference {name} is missing in {len(gaps)} rows, first at "
                              f"{time[gaps[0]]:g} s: leave such rows out")
     measured = {role: found[role] for role in ("position", "speed", "odometer") if role in found}
-    return Recording(time, position, speed, measured)
+    control = found.get("control")
+    if control is not None and not np.abs(control).max() <= 1:
+        raise ValueError(f"{path}: control {named['control']} is a share of the greatest force: -1 .. 1 in every row")
+    counted = measured.get("odometer")
+    if counted is not None and len(np.unique(counted[np.isfinite(counted)])) < 2:
+        raise ValueError(f"{path}: the odometer {named['odometer']} never counts: it needs two different readings")
+    return Recording(time, position, speed, measured, control, reference)
 
 
 def _table(path: str) -> pd.DataFrame:
@@ -101,6 +127,8 @@ def _column(role: str, text: str) -> tuple[str, float]:
 
 
 def _numbers(column: pd.Series, name: str, path: str) -> Array:
+    if column.dtype.kind in "bmM" or isinstance(column.dtype, pd.DatetimeTZDtype):
+        raise ValueError(f"{path}: column \"{name}\" holds {column.dtype}: numbers are needed, times as seconds")
     values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
     bad = np.flatnonzero(~np.isfinite(values) & column.notna().to_numpy())
     if len(bad):

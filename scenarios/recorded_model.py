@@ -1,4 +1,4 @@
-"""The kinematic design model of a recorded trip, discretised for each step's own interval.
+"""The design model of a recorded trip, kinematic or that of the train, discretised for each step's own interval.
 
 States: position s, speed v; with an odometer its shortfall b (m) and excess e, b growing by e per metre the odometer
 counts (true distance = (1 + e) x counted); with white jerk the acceleration. Dead reckoning takes s and v as told."""
@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat
 
-from .model import Bounds, DesignModel, Linear, Portion
+from . import metro_plant
+from .metro_plant import Forces, Slope
+from .model import Bounds, DesignModel, Linear, Portion, product
 from .schema import Strict
 
 Array = NDArray[np.float64]
@@ -31,14 +33,15 @@ class Initial(Strict):
 
 
 class Knowledge(Strict):
-    """motion: white `acceleration` or `jerk` of spectral density `density` (m^2/s^3 or m^2/s^5), or `odometer`: the
-    distance and speed told as input, nothing else (dead reckoning).
+    """motion: white `acceleration` or `jerk` of spectral density `density` (m^2/s^3 or m^2/s^5); `train`: what the
+    recorded control asks of the train on its line, and white acceleration; or `odometer`: the distance and speed told
+    as input, nothing else (dead reckoning).
 
     shortfall: `told`, grown by the odometer's own count (linear in the state), or `modelled`, by the state's speed
     (nonlinear). shortfall_density m^2/s, excess_density 1/s: random walks. w_bar m/s^2: bound of the acceleration.
     position, speed, odometer: standard deviations of the sensors in m, m/s, m; bounds are three times as wide."""
 
-    motion: Literal["acceleration", "jerk", "odometer"]
+    motion: Literal["acceleration", "jerk", "train", "odometer"]
     shortfall: Literal["told", "modelled"]
     density: PositiveFloat
     shortfall_density: Annotated[float, Field(ge=0)]
@@ -51,12 +54,22 @@ class Knowledge(Strict):
 
 
 @dataclass(frozen=True)
+class Drive:
+    """The train and its line as the compiled acceleration law wants them."""
+
+    forces: Forces
+    slope: Slope
+
+
+@dataclass(frozen=True)
 class Kinematics:
-    """The model's functions for given knowledge; `odometer`: whether shortfall and excess are states."""
+    """The model's functions for given knowledge; `odometer`: whether shortfall and excess are states; drive: for motion
+    `train`."""
 
     told: Knowledge
     odometer: bool
     period: float
+    drive: Drive | None = None
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -67,20 +80,35 @@ class Kinematics:
                 *(("acceleration",) if self.told.motion == "jerk" else ()))
 
     def transition(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
-        """x+ (nx, .., S) after `portion` periods; u (2, S): distance by the odometer over the interval m, speed m/s."""
+        """x+ (nx, .., S) after `portion` periods; u (2 or 3, S): distance by the odometer over the interval m, speed
+        m/s, control."""
         out, h = np.array(x, dtype=float), self.period * np.asarray(portion)
         if self.told.motion == "odometer":
             out[0] += u[0]
             out[1] = u[1]
             return out
         jerk = self.told.motion == "jerk"
-        travelled = h * x[1] + (0.5 * h * h * x[-1] if jerk else 0.0)
-        out[0] += travelled
+        if self.told.motion == "train":
+            moved = self._driven(x, u, h)
+            travelled = moved[0] - x[0]
+            out[:2] = moved
+        else:
+            travelled = h * x[1] + (0.5 * h * h * x[-1] if jerk else 0.0)
+            out[0] += travelled
         if jerk:
             out[1] += h * x[-1]
         if self.odometer:
             out[2] += x[3] * u[0] if self.told.shortfall == "told" else travelled * x[3] / (1 + x[3])
         return out
+
+    def _driven(self, x: Array, u: Array, h: Array) -> Array:
+        """Position and speed (2, .., S) by the train's own law."""
+        assert self.drive is not None
+        points = np.ascontiguousarray(x[:2]).reshape(2, -1, x.shape[-1])
+        out, seconds = np.empty_like(points), np.broadcast_to(h, x.shape[-1:]).copy()
+        metro_plant.transition(points, np.ascontiguousarray(u[2]), seconds, self.drive.forces, self.drive.slope,
+                               np.empty(points.shape[1:]), out)
+        return out.reshape(2, *x.shape[1:])
 
     def jacobian(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
         """df/dx (nx, nx, S)."""
@@ -93,13 +121,21 @@ class Kinematics:
             out[i, i] = 1.0
         jerk = self.told.motion == "jerk"
         out[0, 1] = h
+        if self.told.motion == "train":
+            assert self.drive is not None
+            block = np.empty((2, 2, runs))
+            metro_plant.transition_jacobian(np.ascontiguousarray(x[1]), np.ascontiguousarray(u[2]),
+                                            np.broadcast_to(h, (runs,)).copy(), self.drive.forces, block)
+            out[:2, :2] = block
         if jerk:
             out[0, nx - 1], out[1, nx - 1] = 0.5 * h * h, h
         if self.odometer and self.told.shortfall == "told":
             out[2, 3] = u[0]
         elif self.odometer:
             travelled = h * x[1] + (0.5 * h * h * x[nx - 1] if jerk else 0.0)
-            out[2, 1] = h * x[3] / (1 + x[3])
+            if self.told.motion == "train":
+                travelled = self._driven(x, u, h)[0] - x[0]
+            out[2, 1] = out[0, 1] * x[3] / (1 + x[3])
             out[2, 3] = travelled / (1 + x[3]) ** 2
             if jerk:
                 out[2, nx - 1] = 0.5 * h * h * x[3] / (1 + x[3])
@@ -143,29 +179,24 @@ class Kinematics:
         R, start = np.diag(deviations**2), np.array([getattr(told.initial, name) for name in states])
         observe = C[:, :, None]
 
-        def measurement(x: Array, k: int) -> Array:
-            out = np.zeros((len(sensors), *x.shape[1:]))
-            for i, row in enumerate(C):
-                for j in np.flatnonzero(row):
-                    out[i] += row[j] * x[j]
-            return out
-
         parts: dict[str, Any] = {}
-        if told.motion != "odometer":
+        kinematic = told.motion in ("acceleration", "jerk")
+        if kinematic:
             parts["bounds"] = Bounds(self.gain(1.0)[:, :, 0], np.array([told.w_bar]), 3 * deviations, part=self.gain)
-        if told.motion != "odometer" and (told.shortfall == "told" or not self.odometer):
-            last = len(portions) - 1
+        if kinematic and (told.shortfall == "told" or not self.odometer):
+            last, inputs = len(portions) - 1, 2 + (self.drive is not None)
 
             def A(k: int) -> Array:
                 i = min(k, last)
                 return self.jacobian(np.zeros((nx, 1)), np.array([[counted[i]], [0.0]]), k, float(portions[i]))[:, :, 0]
 
             parts["linear"] = Linear(
-                A=A, B=lambda k: np.zeros((nx, 2)), h=lambda k: np.zeros(nx), C=lambda k: C,
+                A=A, B=lambda k: np.zeros((nx, inputs)), h=lambda k: np.zeros(nx), C=lambda k: C,
                 Q=lambda k: self.covariance(float(portions[min(k, last)]))[:, :, 0], R=lambda k: R, constant=False)
         return DesignModel(
             states=states, measurements=tuple(sensors), period=self.period, transition=self.transition,
-            measurement=measurement, transition_jacobian=self.jacobian, measurement_jacobian=lambda x, k: observe,
+            measurement=lambda x, k: product(C, x), transition_jacobian=self.jacobian,
+            measurement_jacobian=lambda x, k: observe,
             process_covariance=lambda x, u, k, portion: self.covariance(portion),
             measurement_covariance=lambda k: R[:, :, None],
             initial_mean=np.ascontiguousarray(initial_mean[:nx]), initial_covariance=np.diag(start**2)[:, :, None],

@@ -63,6 +63,16 @@ class Setting(ABC, Generic[ConfigT]):
         """A few words on what is special (printed by `railstate list`); the title unless a setting says more."""
         return self.config.title
 
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the tables must know: the scenario's notes, and what a setting finds in its files."""
+        return self.config.notes
+
+    @property
+    def sampling_period(self) -> float:
+        """The usual time between measurements, s."""
+        return self.config.time.period
+
     @abstractmethod
     def quantities(self) -> tuple[Quantity, ...]:
         """The scored quantities, in the order of the tables."""

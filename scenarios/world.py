@@ -61,6 +61,12 @@ class World(Protocol):
     def step(self, k: int, mean: Array) -> Step: ...
 
 
+def step_times(world: World, period: float) -> Array:
+    """Time of each scored instant since the first one, s, (K,): steps of the world's own lengths where it has any."""
+    portions = getattr(world, "portions", np.ones(world.steps))
+    return (np.cumsum(portions) - portions[0]) * period
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """An open-loop world, simulated beforehand and shared by all estimators.

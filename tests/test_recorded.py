@@ -9,9 +9,10 @@ import pandas as pd
 import pytest
 from railstate.benchmarks.drive import drive, prepare
 from railstate.estimators.registry import estimators
-from railstate.scenarios.errors import InputError
+from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
+from railstate.scenarios.world import step_times
 
 MAP = {"time": "t_s", "position": "gnss_m", "speed": "v_kmh", "odometer": "odo_m", "reference_position": "s_km",
        "reference_speed": "v_mps"}
@@ -54,7 +55,8 @@ LABELS = ("dead-reckoning", "kalman", "ekf", "ukf", "ckf", "robust-mean-square")
 
 
 def test_estimators_of_the_page_are_listed():
-    assert tuple(load("recorded").variants["outage"]["estimators"]) == LABELS
+    entries = load("recorded").setting("outage").config.estimators
+    assert tuple(label for label, entry in entries.items() if entry.default) == LABELS
 
 
 def test_units_intervals_and_readings_come_through(recording):
@@ -88,13 +90,18 @@ def test_parquet_explicit_units_and_missing_readings(tmp_path):
 def test_outages_where_they_belong(recording):
     sweep = setting(recording, "sweep", **{"sensors.outage.duration": 20.0})
     time = trip().t_s.to_numpy()[1:]
+    placements = sum(time <= time[-1] - 20.0)
+    begun = sweep.outcomes(sweep.world(Streams(1, "recorded", "sweep", range(placements))), {})["begin", "outage", "s"]
+    places = np.searchsorted(time, begun + trip().t_s[0] - 1e-9)
+    assert sorted(places) == list(range(placements))  # each once
+    for few in (5, 13):
+        assert np.diff(np.sort(places[:few]), prepend=0, append=placements).max() < 2.7 * placements / few
     w = sweep.world(Streams(1, "recorded", "sweep", [3, 11]))
-    for column, start in enumerate((3, 11)):
+    for column, start in enumerate(places[[3, 11]]):
         inside = (time >= time[start]) & (time < time[start] + 20.0)
         assert np.array_equal(~w.received[:, 0, column], inside)
         assert w.received[:, 1:, column].all()
         assert np.flatnonzero(w.window[:, column] == 1) == np.flatnonzero(inside)[-1]
-    placements = sum(time <= time[-1] - 20.0)
     again = sweep.world(Streams(1, "recorded", "sweep", [3 + placements]))
     assert np.array_equal(again.received[..., 0], w.received[..., 0])
     windows = setting(recording, "as-recorded", **{"sensors.outage": {
@@ -117,14 +124,20 @@ def test_a_run_does_not_depend_on_its_batch(recording):
         assert one[0] == many[0], label
 
 
-@pytest.mark.parametrize("motion", ["acceleration", "jerk", "odometer"])
+@pytest.mark.parametrize("motion", ["acceleration", "jerk", "train", "odometer"])
 @pytest.mark.parametrize("shortfall", ["told", "modelled"])
 def test_the_model_s_jacobian_and_its_intervals(recording, motion, shortfall):
-    chosen, rng, e = setting(recording), np.random.default_rng(0), 1e-6
+    rng, e = np.random.default_rng(0), 1e-6
+    table = trip().assign(u_share=0.3)
+    table.to_csv(recording, index=False)
+    metro = load("ningbo-metro").variants["white"]["plant"]
+    chosen = setting(recording, columns={**MAP, "control": "u_share"}, **{
+        "plant.line": metro["line"], "plant.train": metro["train"]})
     told = {"motion": motion, "shortfall": shortfall}
     nx = chosen.design_model(told, np.zeros((5, 4))).nx
-    assert nx == {"acceleration": 4, "jerk": 5, "odometer": 2}[motion]
-    x, u = np.concatenate([rng.uniform(5, 15, (2, 4)), rng.uniform(-.05, .05, (nx - 2, 4))]), rng.uniform(5, 9, (2, 4))
+    assert nx == {"acceleration": 4, "jerk": 5, "train": 4, "odometer": 2}[motion]
+    x = np.concatenate([rng.uniform(5, 15, (2, 4)), rng.uniform(-.05, .05, (nx - 2, 4))])
+    u = np.concatenate([rng.uniform(5, 9, (2, 4)), rng.uniform(-1, 1, (1, 4))])
     model = chosen.design_model(told, np.zeros((5, 4)))
     portion = rng.uniform(0.5, 2.0, 4)
     assert model.transition_jacobian and model.process_covariance
@@ -135,7 +148,7 @@ def test_the_model_s_jacobian_and_its_intervals(recording, motion, shortfall):
         assert np.allclose(model.transition_jacobian(x, u, 0, portion)[:, j], slope, atol=1e-7)
     points = np.repeat(x[:, None], 3, axis=1)
     assert np.array_equal(model.transition(points, u, 0, portion)[:, 2], model.transition(x, u, 0, portion))
-    if motion != "odometer":
+    if motion in ("acceleration", "jerk"):
         # two intervals in a row add up to one: Q(a + b) = F(b) Q(a) F(b)' + Q(b); the shortfall is left out, it may
         # depend on where the speed is
         at = [0, 1, nx - 1] if motion == "jerk" else [0, 1]
@@ -226,6 +239,10 @@ def broken(change):
     (lambda t: None, {**MAP, "speed": "v_mps [furlong]"}, "allowed: m/s, mps, km/h"),
     (lambda t: None, {**MAP, "altitude": "z_m"}, "map.altitude: no such role; allowed: time, position"),
     (lambda t: None, {"position": "gnss_m"}, "map: needs time and position"),
+    (lambda t: t.__setitem__("odo_m", np.nan), MAP, "the odometer odo_m never counts"),
+    (lambda t: t.__setitem__("odo_m", 7.0), MAP, "the odometer odo_m never counts"),
+    (lambda t: t.__setitem__("v_kmh", t.v_kmh > 3), MAP, "column \"v_kmh\" holds bool: numbers are needed"),
+    (lambda t: t.insert(0, "u_share", 3.0), {**MAP, "control": "u_share"}, "control u_share is a share"),
 ])
 def test_bad_recordings_get_one_message(tmp_path, change, columns, message):
     broken(change).to_csv(tmp_path / "trip.csv", index=False)
@@ -250,10 +267,83 @@ def test_too_few_rows(tmp_path):
         setting(str(tmp_path / "trip.csv"))
 
 
-def test_a_variant_without_any_recorded_sensor_says_so(recording):
-    chosen = setting(recording, "odometer", {"time": "t_s", "position": "gnss_m"})
-    with pytest.raises(InputError, match=r"uses speed, odometer, but plant\.map has position"):
-        chosen.world(Streams(1, "recorded", "odometer", [0]))
+def test_what_a_recording_lacks_leaves_out_what_needs_it(recording):
+    scenario = load("recorded", {"plant.recording": recording, "plant.map": {"time": "t_s", "position": "gnss_m"}})
+    assert tuple(scenario.variants) == ("outage", "sweep", "as-recorded")
+    assert "sensors.use has speed, odometer, but plant.map has position" in scenario.unfit["odometer"][0]
+    blind = scenario.setting("outage")
+    with pytest.raises(Unsupported, match="needs an odometer or a speed"):
+        run(blind, "dead-reckoning", 2)
+    assert run(scenario.setting("as-recorded"), "kalman", 2)[2].scored.metrics["rmse", "position"].max() < 5
+    only = load("recorded", {"plant.recording": recording, "plant.map": {
+        "time": "t_s", "position": "gnss_m", "odometer": "odo_m"}}).setting("as-recorded")
+    assert run(only, "dead-reckoning", 1, "as-recorded")[2].scored.metrics["rmse", "speed"][0] > 0.5
+
+
+def test_what_is_not_heard_is_not_told_either(recording):
+    """A dead odometer and speed sensor: dead reckoning stands still until they are heard again."""
+    window = {"place": "windows", "windows": [[30.0, 60.0]], "sensors": ["odometer", "speed"]}
+    chosen = setting(recording, "as-recorded", **{"sensors.outage": window})
+    world = chosen.world(Streams(1, "recorded", "as-recorded", [0]))
+    since = np.cumsum(world.portions)
+    inside = (since >= 30) & (since <= 60)
+    assert (world.u[inside, 0] == 0).all() and len(np.unique(world.u[inside, 1])) == 1
+    table = trip()
+    assert world.u[:, 0].sum() == table.odo_m.iloc[-1] - table.odo_m[0]  # the count goes on meanwhile
+    still = run(chosen, "dead-reckoning", 1, "as-recorded")[2].outcomes["rmse", "position-outage", "m"]
+    heard = run(setting(recording, "as-recorded", **{"sensors.outage": {**window, "sensors": ["position"]}}),
+                "dead-reckoning", 1, "as-recorded")[2].outcomes["rmse", "position-outage", "m"]
+    assert still[0] > 5 * heard[0]
+
+
+def test_a_coarse_odometer_is_noticed_and_begins_where_it_is_first_heard(tmp_path):
+    table = trip()
+    table.loc[:30, "odo_m"] = np.nan
+    table.to_csv(tmp_path / "trip.csv", index=False)
+    chosen = setting(str(tmp_path / "trip.csv"), "as-recorded", **{"sensors.odometer_step": None})
+    assert chosen.odometer_step == pytest.approx(5.0, abs=5.0)
+    world = chosen.world(Streams(1, "recorded", "as-recorded", [0]))
+    off = (world.y[:, 2] - world.truth[:, 0])[world.received[:, 2]]
+    assert abs(off[0]) < 5 and not world.received[:30, 2].any()
+    smooth = trip().assign(odo_m=SCALE * 1e3 * trip().s_km)
+    smooth.to_csv(tmp_path / "smooth.csv", index=False)
+    assert setting(str(tmp_path / "smooth.csv"), **{"sensors.odometer_step": None}).odometer_step == 0.0
+    assert any("odometer counts in steps of 5 m" in note for note in setting(str(tmp_path / "trip.csv")).notes)
+
+
+def test_times_and_skipped_seconds_are_the_recording_s(recording):
+    chosen = setting(recording, "as-recorded", **{"score.skip": 40.0})
+    world, _, driven = run(chosen, "kalman", 1, "as-recorded")
+    times = step_times(world, 1.0)
+    table = trip()
+    assert times == pytest.approx(table.t_s[1:] - table.t_s[1], abs=1e-9)
+    assert np.flatnonzero(driven.scored.curves["active"])[0] == np.searchsorted(times, 40.0)
+    assert chosen.sampling_period == pytest.approx(np.median(np.diff(table.t_s)), rel=1e-9)
+
+
+def test_the_train_s_own_model_bridges_an_outage(tmp_path):
+    """A trip of the metro, recorded with its control: without any sensor for 30 s its model knows better than a
+    kinematic one."""
+    metro = load("ningbo-metro").setting("physical")
+    w = metro.world(Streams(2, "ningbo-metro", "physical", [0]))
+    n = int(w.active[:, 0].sum()) - 1
+    rng = np.random.default_rng(3)
+    pd.DataFrame({
+        "t_s": 0.2 * np.arange(n), "s_m": w.truth[:n, 0, 0], "v_mps": w.truth[:n, 1, 0], "u_share": w.u[1:n + 1, 0, 0],
+        "gps_m": w.truth[:n, 0, 0] + rng.normal(0, 2, n), "speed_mps": w.truth[:n, 1, 0] + rng.normal(0, 0.1, n),
+    }).to_csv(tmp_path / "metro.csv", index=False)
+    table = load("ningbo-metro").variants["physical"]["plant"]
+    columns = {"time": "t_s", "position": "gps_m", "speed": "speed_mps", "control": "u_share",
+               "reference_position": "s_m", "reference_speed": "v_mps"}
+    chosen = setting(str(tmp_path / "metro.csv"), "sweep", columns, **{
+        "sensors.outage.sensors": ["position", "speed"], "sensors.noise": {}, "plant.line": table["line"],
+        "plant.train": table["train"]})
+    ends = {label: run(chosen, label, 40, "sweep")[2].outcomes["rmse", "position-outage-end", "m"]
+            for label in ("ekf", "ekf-train")}
+    assert ends["ekf-train"].mean() < 0.25 * ends["ekf"].mean()
+    bare = setting(str(tmp_path / "metro.csv"), "sweep", columns)
+    with pytest.raises(Unsupported, match="--line, --train"):
+        run(bare, "ekf-train", 1, "sweep")
 
 
 def test_variants_whose_outage_is_longer_than_the_trip_are_left_out(recording):

@@ -16,6 +16,8 @@ from .metro import speed_profile
 from .moving_block import gap_over_time, track, trains_over_time
 from .random_access import trace_and_bounds
 from .ranks import critical_difference
+from .recorded import errors_by_outage, recorded_trip
+from .sections import errors_by_section
 from .trust import certified_against_measured, nees_over_time
 
 
@@ -55,8 +57,17 @@ FIGURES: tuple[Figure, ...] = (
            "Mean rank over all runs of all variants. Bars on the right join estimators that Wilcoxon's test with "
            "Holm's correction does not tell apart, or that differ by less than 1 %.", draw_all=critical_difference),
     Figure("speed-profile", "The trip",
-           "First kept run over its position: speeds, the line's gradients, and the disturbance no estimator knows.",
+           "First kept run over its position: speeds true and estimated, errors of the estimated speed, the line's "
+           "gradients, and the disturbance no estimator knows.",
            speed_profile, kinds=("metro",)),
+    Figure("sections", "Errors by section",
+           "Root mean square error on each section of the trip, over all runs.", errors_by_section, kinds=("metro",)),
+    Figure("recorded-trip", "The recorded trip",
+           "First kept run. Bands are two claimed standard deviations wide on either side; grey: readings are out.",
+           recorded_trip, kinds=("recorded",)),
+    Figure("outages", "Errors by outage",
+           "One point a run: the error at the end of the outage over where the outage begins.", errors_by_outage,
+           kinds=("recorded",)),
     Figure("parameter", "The parameter f and the particles' diversity",
            "Above, f and its estimates averaged over all runs; below, how many values of f are left among the "
            "particles of the first kept run.", parameter_and_diversity, kinds=("braking",)),

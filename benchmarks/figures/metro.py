@@ -15,8 +15,9 @@ ROWS = (("gradient", "gradient [‰]", 1000.0), ("disturbance", "disturbance [m/
 
 
 def speed_profile(cell: Cell) -> Canvas | None:
-    """Speed over position in the first kept run, with the speed that was to be kept and the limit; below it the line's
-    gradients and the disturbance the estimators do not know."""
+    """Speed over position in the first kept run, with the estimate of the best and the worst estimator, the speed that
+    was to be kept and the limit; below it those estimators' errors, the line's gradients and the disturbance that the
+    estimators do not know."""
     labels = [label for label in cell.labels if (label, "position") in cell.kept and (label, "speed") in cell.kept]
     if not labels:
         return None
@@ -27,8 +28,10 @@ def speed_profile(cell: Cell) -> Canvas | None:
         track: Track | None = cell.kept.get(("", name))
         return None if track is None else np.interp(place.time, track.time, track.truth)
 
-    lines: list[tuple[str, Array, Style]] = [("true speed", speed.truth * 3.6, Style("c0"))]
-    for name, label, style in (("reference-speed", "reference", Style("c1", (4.0, 1.6))),
+    ends = _best_and_worst(cell, labels)
+    lines: list[tuple[str, Array, Style]] = [("true speed", speed.truth * 3.6, Style("ink"))]
+    lines += [(label, _at(cell, label, place) * 3.6, cell.styles[label]) for label in ends]
+    for name, label, style in (("reference-speed", "reference", Style("muted", (4.0, 1.6))),
                                ("speed-limit", "limit", Style("muted", (1.3, 1.3)))):
         values = extra(name)
         if values is not None:
@@ -36,19 +39,38 @@ def speed_profile(cell: Cell) -> Canvas | None:
     below = [(title, values * factor) for name, title, factor in ROWS if (values := extra(name)) is not None]
     names = [label for label, _, _ in lines]
     room = legend_height(names, WIDTH - 8)
-    canvas = Canvas(14 + 90 + 60 * len(below) + 26 + room, f"Trip, {cell.key}")
+    canvas = Canvas(14 + 90 + 60 * (len(below) + 1) + 26 + room, f"Trip, {cell.key}")
     x = spanning(at, log=False, margin=0.0)
     use = thinned(len(at))
     panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 90, x,
                   spanning(*(values for _, values, _ in lines), log=False, zero=True), title="speed [km/h]",
-                  x_ticks=not below, x_label="" if below else "position [km]")
+                  x_ticks=False)
     for label, values, style in lines:
-        panel.line(at[use], values[use], style, title=label)
+        panel.line(at[use], values[use], style, width=0.8, title=label)
+    errors = {label: (_at(cell, label, place) - speed.truth) * 3.6 for label in ends}
+    off = Panel(canvas, LEFT, 14 + 90 + 18, WIDTH - LEFT - RIGHT, 42, x, spanning(*errors.values(), log=False),
+                title="estimate − true speed [km/h]", x_ticks=not below, x_label="" if below else "position [km]")
+    for label, error in errors.items():
+        off.line(at[use], error[use], cell.styles[label], width=0.8, title=label)
     for row, (title, values) in enumerate(below):
         last = row == len(below) - 1
-        under = Panel(canvas, LEFT, 14 + 90 + 18 + 60 * row, WIDTH - LEFT - RIGHT, 42, x,
+        under = Panel(canvas, LEFT, 14 + 90 + 18 + 60 * (row + 1), WIDTH - LEFT - RIGHT, 42, x,
                       spanning(values, log=False, zero=True), title=title, x_ticks=last,
                       x_label="position [km]" if last else "")
         under.line(at[use], values[use], Style("ink"), width=0.8)
     legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, style) for label, _, style in lines])
     return canvas
+
+
+def _best_and_worst(cell: Cell, labels: list[str]) -> list[str]:
+    """Of the estimators with a kept run those of least and greatest judged speed error (one where they are the same)."""
+    found = cell.judgements.get("speed", {})
+    known = [label for label in labels if label in found and np.isfinite(found[label].value.value)] or labels[:1]
+    error = {label: found[label].value.value if label in found else 0.0 for label in known}
+    return list(dict.fromkeys((min(known, key=error.__getitem__), max(known, key=error.__getitem__))))
+
+
+def _at(cell: Cell, label: str, place: Track) -> Array:
+    """An estimator's speed at the instants of the trip."""
+    track = cell.kept[label, "speed"]
+    return np.interp(place.time, track.time, track.estimate)
