@@ -187,6 +187,7 @@ class Braking(Setting[BrakingConfig]):
         return Trajectory(truth, u, y, received, active, np.ones(steps), start)
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        """Four states with modes over the grid of f, or five with f appended, as `knowledge.model` says."""
         told_of = self.resolve_knowledge(knowledge)
         period = self.config.time.period
         rows = self.config.sensors.rows()

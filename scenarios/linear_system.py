@@ -155,6 +155,7 @@ class LinearSystem(Setting[LinearConfig]):
                           np.ones(steps), initial_mean, extra)
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        """The plant with what [knowledge] says otherwise, its process noise B Q B'."""
         told = self._told(self.resolve_knowledge(knowledge))
         plant, nx = told.plant, len(told.plant.x0)
         A, B, C, Q, R = (at_step(getattr(plant, name)) for name in "ABCQR")

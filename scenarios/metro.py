@@ -165,6 +165,7 @@ class Metro(Setting[MetroConfig]):
         return self.steps * 8 * 12
 
     def world(self, streams: Streams) -> Trajectory:
+        """u (K, 1, S) in shares of the greatest force; y (K, 2, S): position m, speed m/s."""
         config, plant = self.config, self.config.plant
         steps, period = self.steps, config.time.period
         random, sensed = streams("truth"), streams("measurement")
@@ -182,6 +183,7 @@ class Metro(Setting[MetroConfig]):
                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        """The plant without its disturbance; for bounds the linearisation error of M = [T/2, 1]', N = [0, kappa]."""
         told: Knowledge = self.resolve_knowledge(knowledge)
         train, line, period = self.config.plant.train, self.config.plant.line, self.config.time.period
         forces, slope = train.forces, line.slope(train.rotating)

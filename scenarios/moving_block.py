@@ -50,6 +50,7 @@ class MovingBlock(Setting[MovingBlockConfig]):
         return TwoTrains(self.config, self.track, streams)
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        """Eq. (30) with the heading at the midpoint; process noise per metre travelled, tags' noise isotropic (m^2)."""
         told: Knowledge = self.resolve_knowledge(knowledge)
         identity = np.eye(4)[:, :, None]
 

@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, model_validator
 
+from .channels import Channel, Ideal
+from .moving_block_track import StadiumTrack
 from .schema import ScenarioConfig, Strict
 
 
@@ -67,6 +69,8 @@ class FixedBlockSignalling(Strict):
 
 
 class Plant(Strict):
+    """The ring with its two trains, how they are driven and how they are signalled."""
+
     kind: Literal["moving-block"]
     track: Track
     trains: Trains
@@ -81,6 +85,9 @@ class Plant(Strict):
                 raise ValueError(f"trains.stops names station {max(stops)}, but stations go from 0 to {known - 1}")
             if sorted(set(stops)) != stops:
                 raise ValueError(f"trains.stops must be in rising order without repeats, got {stops}")
+        lap = StadiumTrack(self.track.straight, self.track.radius).length
+        if max(map(abs, self.trains.start)) >= lap:
+            raise ValueError(f"trains.start must lie within one lap of {lap:.4g} m from the main stop")
         leader, follower = self.trains.start
         if leader - self.trains.length - follower < self.control.safe_gap - 1e-9:
             raise ValueError("trains.start leaves less than control.safe_gap between leader's tail and follower's nose")
@@ -125,6 +132,21 @@ class Knowledge(Strict):
 
 
 class MovingBlockConfig(ScenarioConfig):
+    """The moving-block scenario, resolved for one variant. channel: what comes through of the tags' readings; its
+    measurement elements are x, y of the leader, then of the follower."""
+
     plant: Plant
     sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
+    channel: Channel = Ideal()
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MovingBlockConfig:
+        self.channel.check(4)
+        track, tags = self.plant.track, self.sensors.tags.count
+        spacing = StadiumTrack(track.straight, track.radius).length / tags
+        farthest = self.plant.trains.top_speed * self.time.period
+        if spacing <= farthest:
+            raise ValueError(f"sensors.tags.count = {tags} puts a tag every {spacing:.3g} m, but a train goes up to "
+                             f"{farthest:.3g} m a step, in which it reads one")
+        return self

@@ -19,6 +19,7 @@ from .world import Event, Step
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 class Line(NamedTuple):
@@ -178,6 +179,7 @@ class TwoTrains:
         self.crossings = self.crossings[:, :, None] + sensors.tags.sd * measurement.normal(2, passes)
         # A train whose run has gone wrong may go on for ever: beyond the last tag there is none.
         self.crossings = np.concatenate([self.crossings, np.full((2, 1, runs), np.inf)], axis=1)
+        self.heard = config.channel.draw(streams("channel"), self.steps, 4)
         self.read = measurement.uniform(0.0, 1.0, 2, passes) >= sensors.tags.missed
         noise_sd = sensors.encoder.noise_sd * math.sqrt(sensors.encoder.noise_period / self.period)
         self.factor = 1 + bias + noise_sd * measurement.normal(self.steps, 2)
@@ -246,11 +248,13 @@ class TwoTrains:
         self._along[k, :3] = np.where(self.active, np.stack([memory.s[0], memory.s[1], gap]), np.nan)
         self._map[k, :4] = np.where(self.active, truth, np.nan)
         self._truth, self._under_way = truth, np.repeat(np.isnan(self.lap_times), 2, axis=0)
-        return Step(u, self._events(share, tag), truth, self.active.copy(), self._under_way)
+        return Step(u, self._events(share, tag, self.heard[k]), truth, self.active.copy(), self._under_way)
 
-    def _events(self, share: Array, tag: Counts) -> tuple[Event, ...]:
-        """Up to two readings and the rest of the step. A run without a (second) reading goes through it with what is
-        left of its step first and portions of exactly zero after, which change nothing."""
+    def _events(self, share: Array, tag: Counts, heard: Mask) -> tuple[Event, ...]:
+        """Up to two readings, as far as they are heard (4, S), and the rest of the step.
+
+        A run without a (second) reading goes through it with what is left of its step first and portions of exactly
+        zero after, which change nothing."""
         runs = share.shape[1]
         seen = share >= 0
         readings = int(seen.sum(axis=0).max())
@@ -269,7 +273,7 @@ class TwoTrains:
                 received[2 * train:2 * train + 2] = here
                 y[2 * train] = np.where(here, self.tag_x[train, tag[train]], 0.0)
                 y[2 * train + 1] = np.where(here, self.tag_y[train, tag[train]], 0.0)
-            events.append(Event(until - gone, y, received))
+            events.append(Event(until - gone, y, received & heard))
             gone = until
         events.append(Event(1.0 - gone, np.zeros((4, runs)), nothing))
         return tuple(events)

@@ -180,6 +180,7 @@ class Recorded(Setting[RecordedConfig]):
         return len(self.portions) * 8 * 16
 
     def world(self, streams: Streams) -> Trajectory:
+        """u (K, 2 or 3, S): distance m, speed m/s, control; y (K, ny, S): the sensors' readings in m, m/s, m."""
         recording, portions, runs = self.recording, self.portions, len(streams.runs)
         steps, random = len(portions), streams("measurement")
         readings = {name: self._reading(name, random, steps) for name in recording.measured}
@@ -209,6 +210,7 @@ class Recorded(Setting[RecordedConfig]):
             window=window.astype(np.int16))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
+        """See `Kinematics`. Raises Unsupported where the recording lacks what the motion told needs."""
         told: Knowledge = self.resolve_knowledge(knowledge)
         plant, recording, portions = self.config.plant, self.recording, self.portions
         if told.motion == "odometer" and not {"odometer", "speed"} & set(recording.measured):

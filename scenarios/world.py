@@ -50,15 +50,23 @@ class World(Protocol):
     mean (nx, S) is the estimator's latest estimate (before this step); open-loop worlds ignore it."""
 
     @property
-    def steps(self) -> int: ...
+    def steps(self) -> int:
+        """How many steps there are at the most."""
+        ...
 
     @property
-    def initial_mean(self) -> Array: ...
+    def initial_mean(self) -> Array:
+        """The estimators' start (nx, S)."""
+        ...
 
     @property
-    def closed_loop(self) -> bool: ...
+    def closed_loop(self) -> bool:
+        """Whether the estimate acts on the truth."""
+        ...
 
-    def step(self, k: int, mean: Array) -> Step: ...
+    def step(self, k: int, mean: Array) -> Step:
+        """What happens on the way to instant k."""
+        ...
 
 
 def step_times(world: World, period: float) -> Array:

@@ -232,6 +232,21 @@ def test_missed_tags_are_missed_at_their_rate() -> None:
     assert abs(missed - 0.3) < 4 * math.sqrt(0.3 * 0.7 / world.read.size)
 
 
+def test_random_access_lets_one_train_report_its_tags() -> None:
+    """One train's reader transmits each step: half of the readings are lost, and the errors grow."""
+    access = {"kind": "random-access", "p": [0.5, 0.5], "nodes": [[0, 1], [2, 3]]}
+    errors = []
+    for changes in ({}, {"channel": access}):
+        setting = load("moving-block", changes).setting("law-r")
+        streams = Streams(1, "moving-block", "law-r", tuple(range(30)))
+        world = setting.world(streams)
+        if changes:
+            assert (world.heard.reshape(-1, 2, 2, 30).all(axis=2).sum(axis=1) == 1).all()
+        estimator, model = prepare(setting, estimators()["ekf"], {}, {}, world.initial_mean)
+        errors.append(drive(setting, world, estimator, model, streams("estimator", "ekf")).scored.metrics["rmse", "x"])
+    assert errors[1].mean() > 1.2 * errors[0].mean()
+
+
 # -- scoring ------------------------------------------------------------------------------------------------------
 
 def test_each_train_is_scored_until_its_own_lap_is_done() -> None:

@@ -182,6 +182,9 @@ def test_authority_ends_at_the_block_of_the_leaders_tail() -> None:
     ("plant.trains.stops", [[1, 0], [2]], "rising order"),
     ("plant.trains.start", [0.0, -0.5], "safe_gap"),
     ("plant.control.leader_ratio", -1.0, "greater than 0"),
+    ("plant.trains.start", [100.0, -10.0], "within one lap"),
+    ("sensors.tags.count", 100, "a tag every 0.0494 m, but a train goes up to 0.06 m a step"),
+    ("channel", {"kind": "random-access", "p": [1.0], "nodes": [[0, 1]]}, "channel.nodes list the measurement"),
     ("plant.signalling.kind", "moveing", "'moving', 'fixed'"),
 ])
 def test_mistakes_are_named(key: str, value: object, said: str) -> None:

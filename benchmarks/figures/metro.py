@@ -63,7 +63,7 @@ def speed_profile(cell: Cell) -> Canvas | None:
 
 
 def _best_and_worst(cell: Cell, labels: list[str]) -> list[str]:
-    """Of the estimators with a kept run those of least and greatest judged speed error (one where they are the same)."""
+    """Of the estimators with a kept run those of least and greatest judged speed error (one where it is the same)."""
     found = cell.judgements.get("speed", {})
     known = [label for label in labels if label in found and np.isfinite(found[label].value.value)] or labels[:1]
     error = {label: found[label].value.value if label in found else 0.0 for label in known}

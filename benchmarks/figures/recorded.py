@@ -62,9 +62,9 @@ def errors_by_outage(cell: Cell) -> Canvas | None:
     labels = [label for label in cell.labels if np.isfinite(errors[label]).any()]
     room = legend_height(labels, WIDTH - 8)
     canvas = Canvas(14 + 130 + 26 + room, f"Errors by outage, {cell.key}")
+    usual = [np.maximum(errors[label], np.nanquantile(errors[label], 0.1)) * factor for label in labels]
     panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(*places.values(), log=False, margin=0.02),
-                  spanning(*(np.maximum(errors[label], np.nanquantile(errors[label], 0.1)) * factor for label in labels),
-                           zero=True),
+                  spanning(*usual, zero=True),
                   title=bracket("position error at the outage's end", name), x_label="the outage begins at [s]")
     for label in labels:
         order = np.argsort(places[label], kind="stable")
