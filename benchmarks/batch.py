@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from itertools import groupby
 from pathlib import Path
@@ -14,7 +13,7 @@ from ..scenarios.errors import InputError
 from .console import print_table, progress
 from .describe import description
 from .latency import timing_table
-from .plan import Plan, Task
+from .plan import Plan
 from .runner import Machinery, run
 from .store import Store
 from .summary import cell_tables, outage_tables, summarise, to_latex, to_markdown, window_tables
@@ -35,24 +34,21 @@ def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, ti
     """Compute what is missing in `folder` and write the files that are made from the rows. Raises InputError,
     Interrupted."""
     store = Store(folder)
-    store.open(plan.configuration(), description(plan), command)
-    done = store.done()
-    total = sum(len(cell.entries) for cell in plan.cells) * plan.runs - sum(len(runs) for runs in done.values())
-    with progress(total, "rows") as advance:
-        def report(task: Task) -> None:
-            advance(len(task.runs) * len(task.labels), task.cell.key)
-
-        try:
-            run(plan, store, machinery, report)
-        except KeyboardInterrupt:
-            have = sum(len(runs) for runs in store.done().values())
-            raise Interrupted(f"interrupted: {have} rows are in {folder}; the same command continues "
-                              f"(add --out {folder})") from None
-    rows = store.rows()
-    if timing and not (folder / "timing.csv").exists():
-        store.write_text("timing.csv", timing_table(plan, rows).to_csv(index=False))
-    write_tables(store)
-    store.finish(rows=len(rows), statuses=rows["status"].value_counts().to_dict())
+    try:
+        store.open(plan.configuration(), description(plan), command)
+        total = sum(len(cell.entries) for cell in plan.cells) * plan.runs
+        with progress(total - sum(len(runs) for runs in store.done().values()), "rows") as advance:
+            run(plan, store, machinery, lambda task: advance(len(task.runs) * len(task.labels), task.cell.key))
+        rows = store.rows()
+        if timing and not (folder / "timing.csv").exists():
+            write_tables(store)  # first: what is timed may be a plug-in that takes its time
+            store.write_text("timing.csv", timing_table(plan, rows, machinery.timeout).to_csv(index=False))
+        write_tables(store)
+        store.finish(rows=len(rows), statuses=rows["status"].value_counts().to_dict())
+    except KeyboardInterrupt:
+        have = sum(len(runs) for runs in store.done().values())
+        raise Interrupted(f"interrupted: {have} rows are in {folder}; the same command continues "
+                          f"(add --out {folder})") from None
     return store
 
 
@@ -122,10 +118,3 @@ def print_results(store: Store) -> None:
               f"  replay: railstate replay {scenario}/{variant}/{estimator}/{first} --out {store.folder}")
     counts = rows["status"].value_counts()
     print(f"{len(rows)} rows: " + ", ".join(f"{n} {status}" for status, n in counts.items()) + f"; in {store.folder}")
-
-
-def as_csv(frame: pd.DataFrame) -> str:
-    """CSV text."""
-    out = io.StringIO()
-    frame.to_csv(out, index=False)
-    return out.getvalue()

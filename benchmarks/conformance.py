@@ -197,5 +197,5 @@ def difference(one: Record, other: Record, which: list[int] | None = None, *,
 
 
 def _copied(estimate: Estimate) -> Estimate:
-    return Estimate(*(None if value is None else np.array(value) for value in
+    return Estimate(*(value.copy() if isinstance(value, np.ndarray) else value for value in
                       (getattr(estimate, name) for name in CLAIMS)))  # pyright: ignore[reportArgumentType]

@@ -11,7 +11,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from ..estimators.interface import Array, Status
+from ..estimators.interface import Array, Status, misshapen
 from ..scenarios.errors import Unsupported
 from ..scenarios.model import DesignModel
 from .conformance import CLAIMS, Record, Rule, Trial, difference, feed
@@ -30,18 +30,9 @@ def _shapes(trial: Trial) -> str | None:
         return f"status has shape {record.status.shape} for {runs} runs"
     parameters = trial.case.tape.truth.shape[1] - nx
     for estimate, when in zip(record.estimates, record.when, strict=True):
-        wanted: dict[str, list[tuple[int, ...]]] = {
-            "mean": [(nx, runs)],
-            "parameter": [(n, runs) for n in range(1, parameters + 1)],
-            **{name: [(n, n, s) for n in range(1, nx + 1) for s in (runs, 1)] for name in MATRICES},
-            "bound": [(runs,), (1,)], "diversity": [(runs,)]}
-        for name, allowed in wanted.items():
-            value = getattr(estimate, name)
-            if value is None:
-                continue
-            if value.shape not in allowed or value.dtype.kind not in "fiu":
-                return (f"{when} {name} has shape {value.shape}, type {value.dtype}; allowed for {nx} states and "
-                        f"{runs} runs: numbers of shape {' or '.join(map(str, reversed(allowed)))}")
+        wrong = misshapen(estimate, nx, runs, parameters)
+        if wrong:
+            return f"{when} {wrong}"
     return None
 
 

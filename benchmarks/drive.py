@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..estimators.interface import Estimate, Estimator
+from ..estimators.interface import Estimate, Estimator, misshapen
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from ..scenarios.setting import Setting
@@ -51,12 +51,26 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     def scored(k: int, estimate: Estimate, step: Step) -> float:
         """Score an estimate; the seconds it took."""
         begun = perf_counter()
-        scorer.add(k, estimate, step)
+        scorer.add(k, checked(estimate, step), step)
         if k >= skip:
             windows.add(estimate, step)
         if watch:
             watch(k, estimate, step)
         return perf_counter() - begun
+
+    good: tuple[Any, ...] | None = None
+
+    def checked(estimate: Estimate, step: Step) -> Estimate:
+        """The same, after a look at its arrays where any has another shape than before. Raises TypeError."""
+        nonlocal good
+        shapes = tuple(getattr(value, "shape", None) for value in (
+            estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid, estimate.bound))
+        if shapes != good:
+            wrong = misshapen(estimate, model.nx, runs, len(step.truth) - model.nx)
+            if wrong:
+                raise TypeError(f"estimate(): {wrong}")
+            good = shapes
+        return estimate
 
     begun = perf_counter()
     estimator.start(model, runs, random)

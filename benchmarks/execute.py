@@ -1,12 +1,14 @@
 """Executing a task in whatever process it lands in: simulate once, drive every estimator, turn all into tables.
 
-An estimator that raises costs only the runs that make it raise: the block is halved until they are found."""
+An estimator or a world that raises costs only the runs that make it raise: the block is halved until they are found."""
 
 from __future__ import annotations
 
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ import pyarrow as pa
 
 from ..estimators.interface import Estimate, Status
 from ..estimators.registry import estimators, load_file
-from ..scenarios.errors import Infeasible
+from ..scenarios.errors import Infeasible, InputError
 from ..scenarios.randomness import Streams
 from ..scenarios.setting import Setting
 from ..scenarios.world import Step, World, step_times
@@ -52,7 +54,7 @@ def execute(task: Task) -> Result:
             rows += block.rows
             curves += block.curves
             kept += block.kept
-        if task.keep and not worlds.closed_loop:
+        if kept:
             kept += worlds.extras()
     return Result(task, _join(rows), _join(curves) if curves else None, _join(kept) if kept else None)
 
@@ -66,21 +68,26 @@ class _Worlds:
 
     def __init__(self, setting: Setting[Any], task: Task) -> None:
         self.setting, self.task = setting, task
-        self.shared = self._make(task.runs)
-        self.closed_loop = self.shared.closed_loop
+
+    @cached_property
+    def shared(self) -> World:
+        """That of all runs."""
+        return self._make(self.task.runs)
 
     def _make(self, runs: Sequence[int]) -> World:
         cell = self.task.cell
         return self.setting.world(Streams(self.task.seed, cell.scenario, cell.variant, runs))
 
     def for_runs(self, runs: tuple[int, ...]) -> World:
-        if runs == self.task.runs and not self.closed_loop:
+        if runs == self.task.runs and not self.shared.closed_loop:
             return self.shared
         return self._make(runs)
 
     def extras(self) -> list[pa.Table]:
         """What the figures of an open-loop setting want of the truth, for the kept runs."""
         out = []
+        if self.shared.closed_loop:
+            return out  # those belong to each estimator
         extra: dict[str, np.ndarray] = getattr(self.shared, "extra", {})
         times = step_times(self.shared, self.setting.config.time.period)
         for position, run in enumerate(self.task.runs):
@@ -107,7 +114,9 @@ class _Block:
             driven = self._drive(runs, watch)
         except Infeasible as error:
             self._failed(runs, Status.infeasible, str(error), "")
-        except Exception as error:
+        except InputError:
+            raise
+        except (Exception, SystemExit) as error:
             if len(runs) > 1:
                 half = len(runs) // 2
                 self.run(positions[:half])
@@ -119,7 +128,7 @@ class _Block:
             self.rows.append(self._table(runs, driven))
             self.curves += _curves(self.task, self.label, self.setting, driven)
             self.kept += watch.tables(step_times(driven.world, self.setting.config.time.period))
-            if self.worlds.closed_loop:
+            if driven.world.closed_loop:
                 self.kept += watch.extras(driven.world)
 
     def _drive(self, runs: tuple[int, ...], watch: _Keeper) -> Driven:
@@ -180,11 +189,12 @@ def _warm_up(setting: Setting[Any], task: Task, label: str, runs: tuple[int, int
         return
     _warm.add(key)
     streams = Streams(task.seed, task.cell.scenario, task.cell.variant, runs)
-    world = FirstSteps(setting.world(streams), 3)
-    estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
-                               world.initial_mean)
-    estimator.design(model)
-    drive(setting, world, estimator, model, streams("estimator", label))
+    with suppress(Exception, SystemExit):  # what goes wrong here goes wrong again where it counts
+        world = FirstSteps(setting.world(streams), 3)
+        estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+                                   world.initial_mean)
+        estimator.design(model)
+        drive(setting, world, estimator, model, streams("estimator", label))
 
 
 class FirstSteps:
@@ -290,8 +300,3 @@ class _Keeper:
         return [_trajectory(self.task, self.label, self.runs[p], times, np.arange(len(values)), name,
                             np.asarray(values)[:, p].astype(float))
                 for p in self.positions for name, values in extra.items()]
-
-
-def one_run(task: Task, label: str, run: int) -> Task:
-    """The task that repeats a single row."""
-    return replace(task, labels=(label,), runs=(run,), keep=0)

@@ -1,40 +1,48 @@
 """timing.csv: what a design, one step of one run, and a run-step of a batch cost.
 
-Latency is measured here, after the rows, in this process and on one thread; throughput comes from the rows."""
+Latency is measured here, after the rows, on one thread, and in this process but for plug-ins; throughput comes from the
+rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ..estimators.registry import estimators
-from ..scenarios.errors import Infeasible
+from ..estimators.registry import estimators, load_file
 from ..scenarios.randomness import Streams
 from .drive import prepare
-from .plan import Cell, Plan
+from .isolation import Ended, Isolation
+from .plan import Cell, Plan, own
 
 COLUMNS = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "throughput_ns",
            "sampling_period_s")
 WARM_UP, STEPS, SECONDS = 5, 400, 0.15
 
 
-def timing_table(plan: Plan, rows: pd.DataFrame) -> pd.DataFrame:
-    """One line per cell and estimator, columns `COLUMNS`; estimators that cannot be designed have NaN."""
-    return pd.DataFrame(list(_lines(plan, rows)), columns=list(COLUMNS))
+def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float) -> pd.DataFrame:
+    """One line per cell and estimator, columns `COLUMNS`; NaN for estimators that cannot be designed, and for plug-ins
+    that die or take longer than `timeout` seconds."""
+    process = Isolation(timeout)
+    try:
+        return pd.DataFrame(list(_lines(plan, rows, process)), columns=list(COLUMNS))
+    finally:
+        process.close()
 
 
-def _lines(plan: Plan, rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
+def _lines(plan: Plan, rows: pd.DataFrame, process: Isolation) -> Iterator[dict[str, Any]]:
     from threadpoolctl import threadpool_limits
 
     throughput = _throughput(rows)
     with threadpool_limits(1), np.errstate(all="ignore"):
         for cell in plan.cells:
             for label in cell.entries:
-                design, latencies = measure(cell, label, plan.seed)
+                asked = (cell, label, plan.seed, plan.plugins)
+                found = measure(*asked) if own(cell, label) else process.call(measure, *asked)
+                design, latencies = (np.nan, np.array([])) if isinstance(found, Ended) else found
                 yield {"scenario": cell.scenario, "variant": cell.variant, "estimator": label, "design_s": design,
                        "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
                        "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
@@ -51,14 +59,16 @@ def _throughput(rows: pd.DataFrame) -> dict[Any, float]:
     return {key: 1e9 * float(part["seconds"].sum() / part["steps"].sum()) for key, part in grouped}
 
 
-def measure(cell: Cell, label: str, seed: int) -> tuple[float, np.ndarray]:
+def measure(cell: Cell, label: str, seed: int, plugins: Sequence[str] = ()) -> tuple[float, np.ndarray]:
     """Design seconds and the seconds of each of up to `STEPS` steps of one run (prediction, update, estimate).
 
     The first steps, in which code is compiled or loaded, are left out; slow estimators are cut off by time."""
+    for path in plugins:
+        load_file(path)
     setting, entry = cell.setting(), cell.entries[label]
     streams = Streams(seed, cell.scenario, cell.variant, (0,))
-    world = setting.world(streams)
     try:
+        world = setting.world(streams)
         estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
                                    world.initial_mean)
         begun = perf_counter()
@@ -84,8 +94,6 @@ def measure(cell: Cell, label: str, seed: int) -> tuple[float, np.ndarray]:
             if k >= WARM_UP:
                 seconds.append(taken)
                 total += taken
-    except Infeasible:
-        return np.nan, np.array([])
-    except Exception:  # the rows already tell what it raised
+    except (Exception, SystemExit):  # the rows already tell what it raised
         return np.nan, np.array([])
     return design, np.array(seconds)

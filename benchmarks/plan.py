@@ -110,7 +110,7 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
                         for label in find(name, overrides)[0].variants[find(name, overrides)[1][0]]["estimators"]})
         raise InputError(f"--estimators {','.join(only)}: none of these; allowed here: {', '.join(known)}, or the name "
                          f"of an installed estimator: {', '.join(estimators())}")
-    return Plan(tuple(cells), runs, seed, keep, tuple(plugins))
+    return Plan(tuple(cells), runs, seed, keep, tuple(str(Path(path).resolve()) for path in plugins))
 
 
 def _content(cell: Cell) -> dict[str, Any]:
@@ -197,6 +197,12 @@ def checked_parameters(cls: type[Estimator], given: Mapping[str, Any], where: st
         allowed = ", ".join(cls.Parameters.model_fields) or "none"
         raise InputError("\n".join(f"{where}.{line.removeprefix('.')}; allowed: {allowed}"
                                    for line in describe(error))) from None
+
+
+def own(cell: Cell, label: str) -> bool:
+    """Whether an estimator of a cell, and the cell's setting, are the suite's own code."""
+    classes = (settings()[cell.table["plant"]["kind"]], estimators()[cell.entries[label].plugin])
+    return all(cls.__module__.startswith("railstate.") for cls in classes)
 
 
 def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:

@@ -7,21 +7,18 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
-import signal
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures import TimeoutError as FutureTimeout
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from queue import Empty, Queue
+from threading import Thread
 from typing import Any
 
-from ..estimators.interface import Status
-from ..estimators.registry import estimators
 from ..scenarios.errors import InputError
-from ..scenarios.registry import settings
 from .execute import Result, execute, failed_rows
-from .plan import Plan, Task, make_tasks
+from .isolation import Ended, Isolation
+from .plan import Plan, Task, make_tasks, own
 from .store import Store
 
 
@@ -50,30 +47,18 @@ def run(plan: Plan, store: Store, machinery: Machinery, report: Callable[[Task],
     left = dict.fromkeys(range(len(tasks)))
     alone = machinery.backend == "local" and (machinery.jobs == 1 or len(tasks) <= 1)
     try:
-        if alone and not _own(plan):
+        if alone and not all(own(cell, label) for cell in plan.cells for label in cell.entries):
             raise _Lost
         for number, result in map(_numbered, range(len(tasks)), tasks) if alone else _parallel(tasks, machinery):
             keep(result)
             del left[number]
     except _Lost:
-        process = _Isolation(machinery.timeout)
-        try:
-            for number in left:
-                for result in _isolated(tasks[number], process):
-                    keep(result)
-        finally:
-            process.close()
+        for result in _isolated([tasks[number] for number in left], machinery):
+            keep(result)
 
 
 class _Lost(Exception):
     """A worker died or hung, which one is not known; or could, in this very process."""
-
-
-def _own(plan: Plan) -> bool:
-    """Whether all classes of the plan are the suite's own."""
-    classes = [cls for cell in plan.cells for cls in (
-        settings()[cell.table["plant"]["kind"]], *(estimators()[entry.plugin] for entry in cell.entries.values()))]
-    return all(cls.__module__.startswith("railstate.") for cls in classes)
 
 
 def _numbered(number: int, task: Task) -> tuple[int, Result]:
@@ -132,45 +117,47 @@ def _backend(machinery: Machinery) -> Iterator[dict[str, Any]]:
     raise InputError(f"--backend {machinery.backend}: unknown; allowed: local, dask, ray")
 
 
-class _Isolation:
-    """One process of its own, replaced when it dies or hangs."""
+def _isolated(tasks: Iterable[Task], machinery: Machinery) -> Iterator[Result]:
+    """Execute tasks in processes of their own, as many at a time as there are jobs."""
+    found: Queue[Result | BaseException | None] = Queue()
+    waiting = Queue[Task]()
+    for task in tasks:
+        waiting.put(task)
+    processes = [Isolation(machinery.timeout) for _ in range(max(1, min(machinery.jobs, waiting.qsize())))]
 
-    def __init__(self, timeout: float) -> None:
-        self.timeout, self._pool = timeout, None
-
-    def execute(self, task: Task) -> Result | tuple[Status, str]:
-        """The task's result, or how its process ended."""
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"),
-                                             initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
-            self._pool.submit(_ready).result()  # starting it and importing are not the task's time
-        future = self._pool.submit(execute, task)
+    def work(process: Isolation) -> None:
         try:
-            return future.result(self.timeout)
-        except BrokenProcessPool:
-            ended = Status.crashed, "the process running it died"
-        except FutureTimeout:
-            ended = Status.timeout, f"did not finish within {self.timeout:g} s"
-        self.close()
-        return ended
+            while True:
+                for result in _narrowed(waiting.get_nowait(), process):
+                    found.put(result)
+        except Empty:
+            found.put(None)
+        except BaseException as error:
+            found.put(error)
+        finally:
+            process.close()
 
-    def close(self) -> None:
-        """Kill the process, whatever it is doing."""
-        if self._pool is not None:
-            for process in list((getattr(self._pool, "_processes", None) or {}).values()):
-                process.kill()
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = None
+    for process in processes:
+        Thread(target=work, args=(process,), daemon=True).start()
+    busy = len(processes)
+    try:
+        while busy:
+            result = found.get()
+            if isinstance(result, BaseException):
+                raise result
+            if result is None:
+                busy -= 1
+            else:
+                yield result
+    finally:
+        for process in processes:
+            process.end()
 
 
-def _ready() -> None:
-    """Unpickling this in a new process imports what tasks need."""
-
-
-def _isolated(task: Task, process: _Isolation) -> Iterator[Result]:
+def _narrowed(task: Task, process: Isolation) -> Iterator[Result]:
     """Execute a task in a process of its own; where that dies or hangs, one estimator at a time, then halves."""
-    ended = process.execute(task)
-    if isinstance(ended, Result):
+    ended = process.call(execute, task)
+    if not isinstance(ended, Ended):
         yield ended
         return
     if len(task.labels) > 1:
@@ -182,7 +169,7 @@ def _isolated(task: Task, process: _Isolation) -> Iterator[Result]:
         yield failed_rows(task, *ended)
         return
     for part in parts:
-        yield from _isolated(part, process)
+        yield from _narrowed(part, process)
 
 
 def _stem(task: Task) -> str:

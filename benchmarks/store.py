@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 PACKAGES = ("numpy", "scipy", "numba", "filterpy", "cvxpy", "clarabel", "pandas", "pyarrow", "joblib", "pydantic")
 IDENTITY = ("scenario", "variant", "estimator", "run")
+MANIFEST = {"railstate": str, "command": str, "configuration": dict, "scenarios": dict, "estimators": dict,
+            "replay": dict, "environment": dict, "started": str}
+"""What every manifest has."""
 
 
 class Store:
@@ -48,13 +51,13 @@ class Store:
         elif self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             raise InputError(f"{self.folder}: is not empty and not a results folder (no manifest.json); choose another "
                              "--out")
-        for name in ("rows", "curves", "trajectories", "tables"):
-            (self.folder / name).mkdir(parents=True, exist_ok=True)
-        if not manifest.exists():
+        if not manifest.exists():  # first of all: without it the folder is nobody's
             self.write_text("manifest.json", json.dumps({
                 "railstate": version("railstate"), "command": command, "configuration": configuration,
                 **description, "environment": environment(), "started": datetime.now(UTC).isoformat(timespec="seconds"),
                 "finished": None}, indent=1))
+        for name in ("rows", "curves", "trajectories", "tables"):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
 
     def finish(self, **facts: Any) -> None:
         """Record the end of the run in the manifest."""
@@ -88,9 +91,15 @@ class Store:
                              "one")
         try:
             manifest = json.loads(path.read_text(encoding="utf-8"))
-            manifest["configuration"]["cells"]
+            cells = manifest["configuration"]["cells"]
+            for key, kind in MANIFEST.items():
+                if not isinstance(manifest[key], kind):
+                    raise TypeError(f"{key} is no {kind.__name__}")
+            for name, key in ((key.split("/")[0], key) for key in cells):
+                if not {"variants", "table"} <= {*manifest["scenarios"][name], *manifest["replay"]["cells"][key]}:
+                    raise KeyError(key)
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: damaged: {error}") from None
+            raise InputError(f"{path}: damaged: {error!r}") from None
         return manifest
 
     def done(self) -> dict[tuple[str, str], set[int]]:
@@ -146,7 +155,11 @@ class Store:
             if path.name not in rows:
                 continue
             try:
-                tables.append(pq.ParquetFile(path).read(columns))
+                table = pq.ParquetFile(path).read(columns)
+                missing = [name for name in IDENTITY[:3 if kind == "curves" else 4] if name not in table.column_names]
+                if missing:
+                    raise OSError(f"no column {missing[0]}")
+                tables.append(table)
             except (pa.ArrowInvalid, pa.ArrowKeyError, OSError) as error:
                 raise InputError(f"{path}: damaged ({str(error).splitlines()[0]}); remove it and run again: only its "
                                  "rows are computed anew") from None

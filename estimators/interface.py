@@ -51,6 +51,24 @@ class Estimate:
     diversity: Array | None = None
 
 
+def misshapen(estimate: Estimate, nx: int, runs: int, parameters: int) -> str | None:
+    """What is wrong with the arrays of an estimate of nx states, for that many runs and unknown parameters."""
+    square = [(n, n, s) for n in range(1, nx + 1) for s in (runs, 1)]
+    allowed: dict[str, list[tuple[int, ...]]] = {
+        "mean": [(nx, runs)], "parameter": [(n, runs) for n in range(1, parameters + 1)], "covariance": square,
+        "ellipsoid": square, "bound": [(runs,), (1,)], "diversity": [(runs,)]}
+    for name, shapes in allowed.items():
+        value = getattr(estimate, name)
+        if value is None and name != "mean":
+            continue
+        if not isinstance(value, np.ndarray):
+            return f"{name} is {type(value).__name__}, not an array"
+        if value.shape not in shapes or value.dtype.kind not in "fiu":
+            return (f"{name} has shape {value.shape}, type {value.dtype}; allowed for {nx} states and {runs} runs: "
+                    f"numbers of shape {' or '.join(map(str, reversed(shapes))) or 'none'}")
+    return None
+
+
 class Parameters(BaseModel):
     """Base of an estimator's parameters. Give each field a description with its unit and source."""
 

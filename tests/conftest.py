@@ -88,6 +88,33 @@ class Dies(Half):
             os._exit(3)
 
 
+class DiesAtOnce(Half):
+    def update(self, y, received):
+        if (self.numbers == 0).any():
+            os._exit(3)
+
+
+class Leaves(Half):
+    def update(self, y, received):
+        if (self.numbers == 2).any():
+            raise SystemExit(5)
+
+
+class Short(Half):
+    def estimate(self):
+        return Estimate(self.x[:1])
+
+
+class OneForAll(Half):
+    def estimate(self):
+        return Estimate(self.x, covariance=np.ones((2, 2, 1 + len(self.numbers) // 2)))
+
+
+class Listing(Half):
+    def estimate(self):
+        return Estimate(self.x.tolist())
+
+
 class Hangs(Half):
     def update(self, y, received):
         super().update(y, received)

@@ -116,6 +116,27 @@ def test_interrupt_leaves_finished_rows_and_says_how_to_continue(railstate: Comm
     assert len(rows("out")) >= 1
 
 
+def test_reasons_do_not_depend_on_the_batch(railstate: Command) -> None:
+    Path("tells.py").write_text(Path("half.py").read_text().replace('raise ArithmeticError("run 3 is not for me")',
+                                                                    'raise ArithmeticError("x")') + '''
+
+from railstate.estimators.interface import Status, flag
+
+
+class Tells(Half):
+    def update(self, y, received):
+        for s, number in enumerate(self.numbers):
+            flag(self, np.arange(len(self.numbers)) == s, Status.failed, f"run {number} says so")
+''')
+    found = []
+    for batch in (1, 100):
+        railstate("run", "cart.toml/calm", "--plugin", "tells.py", "--estimators", "tells", "--runs", 4, "--batch",
+                  batch, "--jobs", 1, "--out", f"out{batch}")
+        found.append(rows(f"out{batch}"))
+    same(*found)
+    assert found[0]["reason"].tolist() == [f"run {n} says so" for n in range(4)]
+
+
 def test_another_configuration_is_refused(railstate: Command) -> None:
     railstate(*CART, "--estimators", "half", "--runs", 4, "--out", "out")
     before = rows("out")
@@ -193,6 +214,31 @@ def test_a_plug_in_that_dies_costs_only_its_rows(railstate: Command, jobs: int) 
     bad = frame[frame["status"] != "ok"]
     assert [tuple(row) for row in bad[["estimator", "run", "status"]].to_numpy()] == [("dies", 5, "crashed")]
     assert len(frame) == 12
+
+
+def test_a_plug_in_that_dies_in_the_first_run_costs_its_latency_too(railstate: Command) -> None:
+    done = railstate(*CART, "--estimators", "half,dies-at-once", "--runs", 3, "--jobs", 1, "--out", "out")
+    assert done.code == 0, done.err
+    frame = rows("out")
+    bad = frame[frame["status"] != "ok"]
+    assert set(bad["estimator"]) == {"dies-at-once"} and set(bad["run"]) == {0} and set(bad["status"]) == {"crashed"}
+    timing = pd.read_csv("out/timing.csv").set_index("estimator")["latency_us_median"]
+    assert timing["dies-at-once"].isna().all() and timing["half"].notna().all()
+
+
+@pytest.mark.parametrize(("label", "reason", "runs"), [
+    ("leaves", "SystemExit: 5", [2]), ("short", "mean has shape (1, 1)", [0, 1, 2]),
+    ("one-for-all", "covariance has shape (2, 2, 2)", [2]), ("listing", "mean is list, not an array", [0, 1, 2])])
+def test_what_is_no_estimate_is_a_failed_row(railstate: Command, label: str, reason: str, runs: list[int]) -> None:
+    done = railstate("run", "cart.toml/calm", "--plugin", "half.py", "--estimators", label, "--runs", 3, "--batch",
+                     1 if label != "one-for-all" else 3, "--jobs", 1, "--out", "out", "--keep", 1)
+    assert done.code == 0, done.err
+    frame = rows("out")
+    if label != "one-for-all":  # which is right for one run, and so for every run the block is halved to
+        assert frame.loc[frame["status"] == "failed", "run"].tolist() == runs
+        assert frame.loc[frame["status"] == "failed", "reason"].str.contains(reason, regex=False).all()
+    else:
+        assert set(frame["status"]) == {"ok"}
 
 
 def test_a_plug_in_that_hangs_costs_only_its_rows(railstate: Command) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ...estimators.registry import estimator_class, load_file
-from ..conformance import Report
+from ..conformance import Finding, Report
+from ..isolation import Ended, Isolation
 from .options import overrides
 
 
@@ -18,19 +19,38 @@ def check(
         help="Scenario, NAME/VARIANT or TOML file; none: chosen by what it needs.")] = "",
     parameter: Annotated[list[str] | None, typer.Option(
         metavar="KEY=VALUE", help="A parameter of the estimator.")] = None,
+    timeout: Annotated[float, typer.Option(min=1.0, help="Seconds after which a plug-in counts as hung.")] = 300.0,
 ) -> None:
     """Check that an estimator keeps the rules of the suite; exit code 1 if it does not."""
     from ..conformance import check as conformance
 
     is_file = name.endswith(".py") or Path(name).is_file()
     classes = load_file(name) if is_file else {name: estimator_class(name, "check")}
-    broken = 0
-    for plugin, cls in classes.items():
-        report = conformance(cls, plugin, overrides(parameter or [], "--parameter", "gain=0.5"), scenario)
-        _print(plugin, report)
-        broken += len(report.findings)
+    given = overrides(parameter or [], "--parameter", "gain=0.5")
+    process, broken = Isolation(timeout), 0
+    try:
+        for plugin, cls in classes.items():
+            report = (conformance(cls, plugin, given, scenario) if cls.__module__.startswith("railstate.") else
+                      process.call(_check, name if is_file else "", plugin, given, scenario))
+            if isinstance(report, Ended):
+                report = Report({}, {}, [Finding("runs", "some case", "design, start, predict, update and estimate "
+                                                 "come back", report.reason, "see what it does to its process, or "
+                                                 "for how long it may go on")])
+            _print(plugin, report)
+            broken += len(report.findings)
+    finally:
+        process.end()
     if broken:
         raise typer.Exit(1)
+
+
+def _check(file: str, plugin: str, parameters: dict[str, Any], scenario: str) -> Report:
+    """The check of a plug-in, in whatever process."""
+    from ..conformance import check as conformance
+
+    if file:
+        load_file(file)
+    return conformance(estimator_class(plugin, "check"), plugin, parameters, scenario)
 
 
 def _print(plugin: str, report: Report) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from ..batch import as_csv, complete
+from ..batch import complete
 from ..console import print_table
 from ..plan import Plan
 from ..runner import Machinery
@@ -47,7 +47,7 @@ def reproduce(
     table = reproduce(chosen, frame)
     store, summary = Store(out), counts(table)
     Path(out).mkdir(parents=True, exist_ok=True)
-    store.write_text("published.csv", as_csv(_rounded(table)))
+    store.write_text("published.csv", _rounded(table).to_csv(index=False))
     shown = _shown(table)
     documents = [(f"{paper.name}: {paper.title}", shown[table["paper"] == paper.name][list(SHORT)],
                   [f"{cell}: {note}" for cell, note in zip(part["cell"], part["note"], strict=True) if note])

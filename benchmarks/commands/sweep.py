@@ -14,7 +14,7 @@ import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
-from ..batch import as_csv, complete
+from ..batch import complete
 from ..console import print_table
 from ..plan import find_one, make_plan
 from ..runner import Machinery
@@ -60,7 +60,7 @@ def sweep(
         reasons[tuple(_plain(item) for item in point.values())] = _reasons(rows)
         shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
     table = pd.concat(summaries, ignore_index=True)
-    Store(folder).write_text("sweep.csv", as_csv(table))
+    Store(folder).write_text("sweep.csv", table.to_csv(index=False))
     plots = 0
     for pair in _wanted(metric, table) or shown:
         part = table[(table["metric"] == pair[0]) & (table["quantity"] == pair[1])]
