@@ -1,33 +1,33 @@
-"""Published numbers beside ours, each with a verdict. The numbers are data: one TOML file a paper in `published/`.
+"""Published numbers beside ours, each with a verdict. The numbers are data: one TOML file a paper.
 
 A verdict is computed, compared with the expected one, and never better than the evidence: `fitted` is not
 `reproduced`."""
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
-from pydantic import ValidationError
+from pydantic import ValidationError, field_validator
 
-from ..scenarios.errors import InputError
-from ..scenarios.files import describe
-from ..scenarios.schema import Strict
-from .plan import Cell as PlanCell
-from .plan import Plan, make_plan
-from .reproduce_values import COMPUTATIONS
-from .statistics import mean_se, pooled_rmse
+from ...scenarios.errors import InputError
+from ...scenarios.files import describe
+from ...scenarios.schema import Strict
+from ..plan import Cell as PlanCell
+from ..plan import Plan, make_plan
+from .rows import Book, Found
+from .values import COMPUTATIONS
 
 Verdict = Literal["reproduced", "fitted", "not reproduced", "contradicts its text", "unreachable"]
 VERDICTS: tuple[Verdict, ...] = ("reproduced", "fitted", "not reproduced", "contradicts its text", "unreachable")
 COLUMNS = ("paper", "item", "cell", "published", "ours", "standard_error", "unit", "verdict", "expected", "note")
-FOLDER = Path(__file__).with_name("published")
+UNDECIDED = "Too few runs to decide."
+FOLDER = Path(__file__).parent
 
 
 class Published(Strict):
@@ -35,8 +35,9 @@ class Published(Strict):
 
     Either scenario, variant, estimator, metric, quantity (a summary of rows, times `factor`), or `compute` with its
     arguments (a function of `reproduce_values.py`), or neither: `unreachable`, and `missing` says what is missing.
-    It agrees within relative * |published| + absolute + 3 standard errors, plus 2 standard deviations of single runs
-    where single_run says that the paper shows one run. at_most: a claim that the number is below this.
+    It agrees within relative * |published| + absolute + 3 standard errors, plus 2 standard deviations of a mean of as
+    many runs as the paper has `trials` (0: no allowance). at_most: a claim that the number is below this, by 2 standard
+    errors.
     fitted, contradicts: what an agreement or a disagreement means here, with the reason in `note`."""
 
     item: str
@@ -54,7 +55,7 @@ class Published(Strict):
     relative: float = 0.0
     absolute: float = 0.0
     why: str
-    single_run: bool = False
+    trials: int = 0
     at_most: float | None = None
     fitted: bool = False
     contradicts: bool = False
@@ -63,13 +64,20 @@ class Published(Strict):
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Found:
-    """Our number: value, its standard error, and the standard deviation of single runs (0 where there are none)."""
+class _File(Strict):
+    """The file itself: items, each with `cells` that take over what the item says of all of them."""
 
-    value: float
-    error: float = 0.0
-    spread: float = 0.0
+    title: str
+    items: list[dict[str, Any]]
+
+    @field_validator("items")
+    @classmethod
+    def _have_cells(cls, items: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        for item in items:
+            cells = item.get("cells")
+            if not isinstance(cells, list) or not all(isinstance(cell, dict) for cell in cells):
+                raise ValueError(f"item \"{item.get('item')}\" needs cells = [{{ cell = .. }}, ..]")
+        return items
 
 
 @dataclass(frozen=True)
@@ -79,35 +87,6 @@ class Paper:
     name: str
     title: str
     cells: tuple[Published, ...]
-
-
-class Book:
-    """The rows a reproduction draws on."""
-
-    def __init__(self, rows: pd.DataFrame) -> None:
-        self.rows = rows
-
-    def values(self, scenario: str, variant: str, estimator: str, metric: str, quantity: str) -> np.ndarray:
-        """One value per run. Raises InputError if there is none."""
-        part = self.rows[(self.rows["scenario"] == scenario) & (self.rows["variant"] == variant)
-                         & (self.rows["estimator"] == estimator)]
-        columns = [name for name in part.columns if name.startswith(f"{metric}:{quantity}:")]
-        if not columns or part.empty:
-            raise InputError(f"published: {scenario}/{variant}/{estimator} has no {metric}:{quantity}")
-        found = part.sort_values("run")[columns[0]].to_numpy(dtype=float)
-        return found[~np.isnan(found)]
-
-    def found(self, scenario: str, variant: str, estimator: str, metric: str, quantity: str) -> Found:
-        """Mean (RMSE pooled) with its standard error."""
-        values = self.values(scenario, variant, estimator, metric, quantity)
-        mean, error = pooled_rmse(values) if metric == "rmse" else mean_se(values)
-        return Found(mean, error, float(np.std(values, ddof=1)) if len(values) > 1 else 0.0)
-
-    def seconds(self, scenario: str, variant: str, estimator: str) -> float:
-        """Estimator seconds per run."""
-        part = self.rows[(self.rows["scenario"] == scenario) & (self.rows["variant"] == variant)
-                         & (self.rows["estimator"] == estimator)]
-        return float(part["seconds"].mean())
 
 
 def papers(names: Sequence[str] = ()) -> list[Paper]:
@@ -121,10 +100,15 @@ def papers(names: Sequence[str] = ()) -> list[Paper]:
 
 def read(path: Path) -> Paper:
     """A published file: items share what their cells have in common; a matrix of values becomes a cell an entry."""
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    try:
+        book = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path.name}: not valid TOML: {error}") from None
+    except ValidationError as error:
+        raise InputError("\n".join(f"{path.name}: {line}" for line in describe(error))) from None
     cells: list[Published] = []
     mistakes: list[str] = []
-    for item in table["items"]:
+    for item in book.items:
         common = {key: value for key, value in item.items() if key != "cells"}
         for given in item["cells"]:
             for cell in _entries({**common, **given}):
@@ -134,11 +118,11 @@ def read(path: Path) -> Paper:
                     mistakes += describe(error, f"{cell.get('item')}: {cell.get('cell')}")
     if mistakes:
         raise InputError("\n".join(f"{path.name}: {line}" for line in mistakes))
-    return Paper(path.stem, table["title"], tuple(cells))
+    return Paper(path.stem, book.title, tuple(cells))
 
 
 def _entries(cell: dict[str, Any]) -> Iterable[dict[str, Any]]:
-    if not isinstance(cell["published"], list):
+    if not isinstance(cell.get("published"), list):
         yield cell
         return
     for i, row in enumerate(cell["published"]):
@@ -163,34 +147,47 @@ def plan_for(chosen: Sequence[Paper], runs: int, seed: int) -> Plan:
     return Plan(tuple(cells), runs, seed)
 
 
-def judge(cell: Published, book: Book) -> tuple[Found | None, Verdict]:
-    """Our number for a cell and the verdict."""
+class Judged(NamedTuple):
+    """Our number for a cell, the verdict, and whether the runs were enough to tell it from the other one."""
+
+    found: Found | None
+    verdict: Verdict
+    decided: bool
+
+
+def judge(cell: Published, book: Book) -> Judged:
+    """Our number for a cell and the verdict; too few runs leave it undecided."""
     if cell.compute:
-        found = Found(*COMPUTATIONS[cell.compute].value(book, *cell.arguments))
+        found = COMPUTATIONS[cell.compute].value(book, *cell.arguments)
     elif cell.scenario:
         found = book.found(cell.scenario, cell.variant, cell.estimator, cell.metric, cell.quantity)
         found = Found(found.value * cell.factor, found.error * cell.factor, found.spread * cell.factor)
     else:
-        return None, "unreachable"
+        return Judged(None, "unreachable", True)
     if cell.at_most is not None:
-        agrees = found.value + 2 * found.error <= cell.at_most
+        distance, room, error = found.value, cell.at_most, 2 * found.error
+        agrees = distance + error <= room
     else:
         published = float(cell.published)
-        room = cell.relative * abs(published) + cell.absolute + 3 * found.error + 2 * found.spread * cell.single_run
-        agrees = math.isfinite(found.value) and abs(found.value - published) <= room
+        distance, error = abs(found.value - published), 3 * found.error
+        room = (cell.relative * abs(published) + cell.absolute
+                + (2 * found.spread / cell.trials**0.5 if cell.trials else 0.0))
+        agrees = distance <= room + error
+    decided = not abs(distance - room) < error
     if agrees:
-        return found, "fitted" if cell.fitted else "reproduced"
-    return found, "contradicts its text" if cell.contradicts else "not reproduced"
+        return Judged(found, "fitted" if cell.fitted else "reproduced", decided)
+    return Judged(found, "contradicts its text" if cell.contradicts else "not reproduced", decided)
 
 
 def reproduce(chosen: Sequence[Paper], rows: pd.DataFrame) -> pd.DataFrame:
-    """published.csv: columns `COLUMNS`, one line a cell."""
+    """published.csv: columns `COLUMNS`, one line a cell; a verdict that the runs do not decide says so in the note."""
     book = Book(rows)
     lines = []
     for paper in chosen:
         for cell in paper.cells:
-            found, verdict = judge(cell, book)
-            note = " ".join(part for part in (cell.note, f"missing: {cell.missing}" if cell.missing else "") if part)
+            found, verdict, decided = judge(cell, book)
+            note = " ".join(part for part in (cell.note, f"missing: {cell.missing}" if cell.missing else "",
+                                              "" if decided else UNDECIDED) if part)
             lines.append((paper.name, cell.item, cell.cell, cell.published, found.value if found else np.nan,
                           found.error if found and found.error else np.nan, cell.unit, verdict, cell.expected, note))
     return pd.DataFrame(lines, columns=list(COLUMNS))

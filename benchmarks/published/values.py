@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..estimators.lmi import certify, ultimate_bound
-from ..estimators.random_access import covariance_sequence
-from ..estimators.random_access_bounds import CovarianceBounds
-from ..estimators.ultimate_bound import error_system, read_gain
-from ..scenarios.files import load
-from ..scenarios.model import DesignModel
-from ..scenarios.randomness import Streams
+from ...estimators.lmi import certify, ultimate_bound
+from ...estimators.random_access import covariance_sequence
+from ...estimators.random_access_bounds import CovarianceBounds
+from ...estimators.ultimate_bound import error_system, read_gain
+from ...scenarios.files import load
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import Streams
+from .rows import Book, Found, ratio
 
-if TYPE_CHECKING:
-    from .reproduce import Book
-
-Value = tuple[float, float]
 Key = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
 class Computation:
-    """value(book, *arguments) -> (number, standard error); rows(*arguments) -> the (scenario, variant, estimator)
+    """value(book, *arguments) -> our number; rows(*arguments) -> the (scenario, variant, estimator)
     needed."""
 
-    value: Callable[..., Value]
+    value: Callable[..., Found]
     rows: Callable[..., list[Key]] = lambda *arguments: []
 
 
@@ -47,27 +44,28 @@ def _zou() -> tuple[Any, Any]:
     return ultimate_bound(system, 0.98), certify(system, read_gain("zou2018_gain.csv"), 0.98)
 
 
-def zou_bound(book: Book) -> Value:
-    """Our least certified bound."""
-    return _zou()[0].bound, 0.0
+def zou_excess(book: Book) -> Found:
+    """Certified bound of the printed gain over our least one."""
+    ours, printed = _zou()
+    return Found(printed.bound / ours.bound)
 
 
-def zou_distance(book: Book, columns: str) -> Value:
+def zou_distance(book: Book, columns: str) -> Found:
     """Relative Frobenius distance of our gain from the printed one, in its position or velocity columns."""
     part = slice(0, 6) if columns == "position" else slice(6, 12)
     printed = read_gain("zou2018_gain.csv")[:, part]
-    return float(np.linalg.norm(_zou()[0].K[:, part] - printed) / np.linalg.norm(printed)), 0.0
+    return Found(float(np.linalg.norm(_zou()[0].K[:, part] - printed) / np.linalg.norm(printed)))
 
 
-def rap_gain(book: Book, variant: str, k: int, i: int, j: int) -> Value:
+def rap_gain(book: Book, variant: str, k: int, i: int, j: int) -> Found:
     """Entry (i, j) of K_k, from 1 and 0 on."""
-    return float(covariance_sequence(_model("rap-example-1", variant), 3)[0][k - 1][i, j]), 0.0
+    return Found(float(covariance_sequence(_model("rap-example-1", variant), 3)[0][k - 1][i, j]))
 
 
-def rap_gain_distance(book: Book, variant: str, k: int, *printed: float) -> Value:
+def rap_gain_distance(book: Book, variant: str, k: int, *printed: float) -> Found:
     """Largest deviation of K_k from the printed one (row by row)."""
     gain = covariance_sequence(_model("rap-example-1", variant), 3)[0][k - 1]
-    return float(np.abs(gain - np.reshape(printed, gain.shape)).max()), 0.0
+    return Found(float(np.abs(gain - np.reshape(printed, gain.shape)).max()))
 
 
 @cache
@@ -77,75 +75,67 @@ def _rap_bounds() -> CovarianceBounds:
     return CovarianceBounds(model.linear, model.reception, model.initial_covariance[:, :, 0], 300)
 
 
-def rap_constant(book: Book, name: str) -> Value:
+def rap_constant(book: Book, name: str) -> Found:
     """q_low, q_high, a_low, a_high, r_low, r_high, c, c_hat, or the lower bound (21)."""
-    return float(getattr(_rap_bounds(), name)), 0.0
+    return Found(float(getattr(_rap_bounds(), name)))
 
 
-def rap_mu(book: Book, k: int) -> Value:
+def rap_mu(book: Book, k: int) -> Found:
     """mu_k of Theorem 3."""
-    return float(_rap_bounds().mu[k]), 0.0
+    return Found(float(_rap_bounds().mu[k]))
 
 
-def rap_condition(book: Book, sigma: float, m: int) -> Value:
+def rap_condition(book: Book, sigma: float, m: int) -> Found:
     """Least eigenvalue of the sum in (30) over all steps."""
-    return float(_rap_bounds().check(float(sigma), int(m)).least.min()), 0.0
+    return Found(float(_rap_bounds().check(float(sigma), int(m)).least.min()))
 
 
-def rap_term(book: Book, sigma: float, m: int, lag: int, i: int) -> Value:
+def rap_term(book: Book, sigma: float, m: int, lag: int, i: int) -> Found:
     """Greatest value over k, with full windows, of entry (i, i) of a term of (30)."""
-    return float(_rap_bounds().terms(float(sigma), int(m))[lag, int(m):, i, i].max()), 0.0
+    return Found(float(_rap_bounds().terms(float(sigma), int(m))[lag, int(m):, i, i].max()))
 
 
 BRAKING = ("braking-rate", "paper")
 
 
-def braking_gain(book: Book, quantity: str, better: str, worse: str) -> Value:
+def braking_gain(book: Book, quantity: str, better: str, worse: str) -> Found:
     """1 - MAE(better) / MAE(worse), paired over runs (delta method)."""
     a, b = (book.values(*BRAKING, label, "mae", quantity) for label in (better, worse))
     return _one_minus_ratio(a, b)
 
 
-def work_ratio(book: Book, one: str, other: str) -> Value:
+def work_ratio(book: Book, one: str, other: str) -> Found:
     """Kalman updates per step of one estimator over another's."""
     a, b = (book.values(*BRAKING, label, "kalman-updates", "work") for label in (one, other))
-    return _ratio(a, b)
+    return ratio(a, b)
 
 
-def gap_reduction(book: Book) -> Value:
+def gap_reduction(book: Book) -> Found:
     """1 - mean gap under moving block / under fixed block, law P, UKF in the loop."""
     a, b = (book.values("moving-block", variant, "ukf", "mean", "gap") for variant in ("law-p", "law-p-fixed-block"))
     return _one_minus_ratio(a, b)
 
 
-def follower_ratio(book: Book, k_acc: float) -> Value:
+def follower_ratio(book: Book, k_acc: float) -> Found:
     """alpha_B / beta_s = (-1 + sqrt(1 + 4 k_acc)) / 2 of (29); NaN where the root is of a negative number."""
     inner = 1 + 4 * float(k_acc)
-    return ((-1 + inner**0.5) / 2 if inner >= 0 else float("nan")), 0.0
+    return Found((-1 + inner**0.5) / 2 if inner >= 0 else float("nan"))
 
 
 KALMAN = ("ekf", "ukf", "ckf")
 
 
-def robust_ratio(book: Book, variant: str, quantity: str) -> Value:
+def robust_ratio(book: Book, variant: str, quantity: str) -> Found:
     """RMSE of robust-mean-square over that of the best matched Kalman filter, paired over runs (delta method)."""
     squares = {label: book.values("ningbo-metro", variant, label, "rmse", quantity) ** 2
                for label in (*KALMAN, "robust-mean-square")}
-    best = min(KALMAN, key=lambda label: float(squares[label].mean()))
-    ratio, error = _ratio(squares["robust-mean-square"], squares[best])
-    return ratio**0.5, 0.5 * error / ratio**0.5
+    best = min(KALMAN, key=lambda label: float(np.nanmean(squares[label])))
+    value, *errors = astuple(ratio(squares["robust-mean-square"], squares[best]))
+    return Found(value**0.5, *(0.5 * error / value**0.5 for error in errors))
 
 
-def _ratio(a: np.ndarray, b: np.ndarray) -> Value:
-    """Ratio of means with its standard error from the paired runs (delta method)."""
-    ratio = float(a.mean() / b.mean())
-    residual = a - ratio * b
-    return ratio, float(residual.std(ddof=1) / abs(b.mean()) / len(a) ** 0.5)
-
-
-def _one_minus_ratio(a: np.ndarray, b: np.ndarray) -> Value:
-    ratio, error = _ratio(a, b)
-    return 1 - ratio, error
+def _one_minus_ratio(a: np.ndarray, b: np.ndarray) -> Found:
+    return replace(found := ratio(a, b), value=1 - found.value)
 
 
 def _braking(*labels: str) -> list[Key]:
@@ -153,7 +143,7 @@ def _braking(*labels: str) -> list[Key]:
 
 
 COMPUTATIONS: dict[str, Computation] = {
-    "zou_bound": Computation(zou_bound),
+    "zou_excess": Computation(zou_excess),
     "zou_distance": Computation(zou_distance),
     "rap_gain": Computation(rap_gain),
     "rap_gain_distance": Computation(rap_gain_distance),
