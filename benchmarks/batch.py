@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from ..scenarios.errors import InputError
 from .console import print_table, progress
 from .describe import description
 from .latency import timing_table
@@ -18,6 +17,7 @@ from .runner import Machinery, run
 from .store import Store
 from .summary import cell_tables, outage_tables, summarise, to_latex, to_markdown, window_tables
 from .verdicts import headlines, short_verdicts
+from .wording import notes_of
 
 
 class Interrupted(Exception):
@@ -52,25 +52,14 @@ def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, ti
     return store
 
 
-def read_timing(store: Store) -> pd.DataFrame | None:
-    """timing.csv of a folder, or None. Raises InputError if it is damaged."""
-    path = store.folder / "timing.csv"
-    if not path.is_file():
-        return None
-    try:
-        return pd.read_csv(path)
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: damaged: {error}") from None
-
-
 def write_tables(store: Store) -> None:
     """summary.csv, tables/*.md and tables/*.tex, from rows and timing alone."""
     rows, manifest = store.rows(), store.manifest()
     summary = summarise(rows)
     store.write_text("summary.csv", summary.to_csv(index=False))
-    for key, frame in cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest)):
+    for key, frame in cell_tables(summary, manifest, store.timing(), short_verdicts(rows, manifest)):
         scenario, variant = key.split("/")
-        notes = notes_of(manifest, scenario, variant)
+        notes = notes_of(manifest["scenarios"][scenario]["variants"][variant])
         stem = f"tables/{scenario}~{variant}"
         store.write_text(f"{stem}.md", to_markdown(key, frame, notes))
         store.write_text(f"{stem}.tex", to_latex(key, frame, notes))
@@ -83,25 +72,18 @@ def write_tables(store: Store) -> None:
         store.write_text(f"{stem}.tex", to_latex(title, frame, []))
 
 
-def notes_of(manifest: dict, scenario: str, variant: str) -> list[str]:
-    """What a reader of a table must know: the scenario's notes, and which parameters were fitted."""
-    about = manifest["scenarios"][scenario]["variants"][variant]
-    fitted = [f"fitted, not printed by the source: {', '.join(about['fitted'])}"] if about["fitted"] else []
-    return [*about["notes"], *fitted]
-
-
 def print_results(store: Store) -> None:
     """The tables on standard output, failures with their replay lines, and the closing count."""
     rows, manifest = store.rows(), store.manifest()
     summary = summarise(rows)
-    tables = cell_tables(summary, manifest, read_timing(store), short_verdicts(rows, manifest))
+    tables = cell_tables(summary, manifest, store.timing(), short_verdicts(rows, manifest))
     windows: dict[str, list[tuple[str, pd.DataFrame]]] = {}
     for title, parts in window_tables(rows, manifest):
         windows.setdefault(title.partition(": ")[0], []).append((title, parts))
     for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
         told: set[str] = set()
         for key, frame in variants:
-            notes = notes_of(manifest, *key.split("/"))
+            notes = notes_of(manifest["scenarios"][scenario]["variants"][key.split("/")[1]])
             print_table(key, frame, [note for note in notes if note not in told])
             told.update(notes)
             for title, parts in windows.pop(key, []) if len(told) == len(notes) else []:

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import sys
 import warnings
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
@@ -25,13 +27,21 @@ from .commands.timing import timing
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
-    help="Compare estimators of a train's state on the same simulated truths.")
+    invoke_without_command=True)
 for function, name in (
         (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (design, "design"),
         (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
         (check, "check"), (compare, "compare"), (schema, "schema")):
     app.command(name)(function)
 app.add_typer(new, name="new")
+
+
+@app.callback()
+def options(version_: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    """Compare estimators of a train's state on the same simulated truths."""
+    if version_:
+        print(f"railstate {version('railstate')}")
+        raise typer.Exit
 
 
 def main() -> None:
@@ -42,11 +52,14 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except OSError as error:  # a place that cannot be read or written
+        print(f"error: {error.filename or 'input or output'}: {error.strerror or error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except MemoryError as error:
+        print(f"error: not enough memory ({error}): fewer steps, or a smaller --batch", file=sys.stderr)
+        raise SystemExit(2) from None
     except Interrupted as error:
         print(error, file=sys.stderr)
         raise SystemExit(130) from None
     except KeyboardInterrupt:
         raise SystemExit(130) from None
-    except BrokenPipeError:
-        sys.stderr.close()
-        raise SystemExit(0) from None

@@ -17,18 +17,17 @@ from ..scenarios.randomness import Streams
 from .drive import prepare
 from .isolation import Ended, Isolation
 from .plan import Cell, Plan, own
+from .store import TIMING
 
-COLUMNS = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "throughput_ns",
-           "sampling_period_s")
 WARM_UP, STEPS, SECONDS = 5, 400, 0.15
 
 
 def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float) -> pd.DataFrame:
-    """One line per cell and estimator, columns `COLUMNS`; NaN for estimators that cannot be designed, and for plug-ins
+    """One line per cell and estimator, columns `TIMING`; NaN for estimators that cannot be designed, and for plug-ins
     that die or take longer than `timeout` seconds."""
     process = Isolation(timeout)
     try:
-        return pd.DataFrame(list(_lines(plan, rows, process)), columns=list(COLUMNS))
+        return pd.DataFrame(list(_lines(plan, rows, process)), columns=list(TIMING))
     finally:
         process.close()
 

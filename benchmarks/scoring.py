@@ -115,7 +115,7 @@ class Scorer:
             metrics["rmse", item.name] = np.sqrt(self.totals[0, q] / counted)
             metrics["mae", item.name] = self.totals[1, q] / counted
             metrics["max", item.name] = self.totals[2, q].copy()
-            metrics["final", item.name] = np.abs(self.last[q])
+            metrics["final", item.name] = np.sqrt(self.last[q])
             if not item.mean:
                 metrics["sum-squared", item.name] = self.totals[0, q].copy()
         with np.errstate(invalid="ignore", divide="ignore"):

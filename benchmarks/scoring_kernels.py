@@ -146,19 +146,18 @@ def accumulate(step, live, totals):
 @kernel
 def accumulate_curves(step, live, last, steps, curve):
     """curve (>= 4, nq) takes up the sums over runs of this step: squares, their squares, errors, and the number of runs
-    in [3, 0]; last (nq, S) := the signed error, steps (S,) += 1."""
+    in [3, 0]; last (nq, S) := the squared error, steps (S,) += 1."""
     value, fourth = np.empty_like(live), np.empty_like(live)
     for q in range(step.shape[1]):
         for s in range(live.shape[0]):
             on = live[s] > 0.0
             value[s] = step[0, q, s] if on else 0.0
+            last[q, s] = value[s] if on else last[q, s]
             fourth[s] = value[s] * value[s]
         curve[0, q] += lane_sum(value)
         curve[1, q] += lane_sum(fourth)
         for s in range(live.shape[0]):
-            on = live[s] > 0.0
-            value[s] = step[2, q, s] if on else 0.0
-            last[q, s] = value[s] if on else last[q, s]
+            value[s] = step[2, q, s] if live[s] > 0.0 else 0.0
         curve[2, q] += lane_sum(value)
     for s in range(live.shape[0]):
         steps[s] += live[s]

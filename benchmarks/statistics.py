@@ -206,11 +206,11 @@ def verdict(found: Paired, adjusted_p: float, comparisons: int = 1) -> Verdict:
     """What may be said of a against b. Better and worse need all three: Holm's p under ALPHA, an interval of the mean
     difference without 0, and a mean difference of at least RESOLUTION of b's mean.
 
-    `too few runs`: only Holm's p is missing, and with so many `comparisons` it would be whatever the runs said (2^(1-n)
-    is the least p of n runs). Anything else is a tie."""
-    if abs(found.relative) < RESOLUTION or not (found.low > 0 or found.high < 0):
+    `too few runs`: a difference that would matter, in so few runs that with so many `comparisons` no outcome could have
+    Holm's p under ALPHA (2^(1-n) is the least p of n runs). Anything else is a tie."""
+    if abs(found.relative) < RESOLUTION:
         return "tie"
-    if adjusted_p < ALPHA:
+    if adjusted_p < ALPHA and (found.low > 0 or found.high < 0):
         return "better" if found.difference < 0 else "worse"
     return "too few runs" if comparisons * 2.0 ** (1 - found.n) >= ALPHA else "tie"
 

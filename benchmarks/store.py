@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 PACKAGES = ("numpy", "scipy", "numba", "filterpy", "cvxpy", "clarabel", "pandas", "pyarrow", "joblib", "pydantic")
 IDENTITY = ("scenario", "variant", "estimator", "run")
+TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "throughput_ns",
+          "sampling_period_s")
+"""Columns of timing.csv."""
 MANIFEST = {"railstate": str, "command": str, "configuration": dict, "scenarios": dict, "estimators": dict,
             "replay": dict, "environment": dict, "started": str}
 """What every manifest has."""
@@ -147,6 +150,19 @@ class Store:
         """The kept trajectories (`--keep N`), or None."""
         table = self._read("trajectories")
         return None if table is None else table.to_pandas(strings_to_categorical=True)
+
+    def timing(self) -> pd.DataFrame | None:
+        """timing.csv, or None. Raises InputError if it is damaged."""
+        import pandas as pd
+
+        path = self.folder / "timing.csv"
+        if not path.is_file():
+            return None
+        try:
+            table = pd.read_csv(path)
+            return table.astype(dict.fromkeys(TIMING[3:], float)).astype(dict.fromkeys(TIMING[:3], str))
+        except (ValueError, KeyError, OSError) as error:
+            raise InputError(f"{path}: damaged: {error}") from None
 
     def _read(self, kind: str, columns: list[str] | None = None) -> pa.Table | None:
         rows = {path.name for path in (self.folder / "rows").glob("*.parquet")}

@@ -12,7 +12,7 @@ import pandas as pd
 
 from .statistics import mean_se, pooled_rmse
 from .windows import window_columns
-from .wording import numeric, shown_unit
+from .wording import number, numeric, shown_unit, with_error
 
 COLUMNS = ("scenario", "variant", "estimator", "metric", "quantity", "unit", "mean", "standard_error", "runs")
 
@@ -57,14 +57,14 @@ def cell_tables(summary: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.D
                     name, factor = shown_unit(described, metric, quantity, unit)
                     head = f"{metric} {quantity}" + (f" [{name}]" if name else "")
                     heads[head] = wanted.index((metric, quantity))
-                    line[head] = _pair(mean * factor, error * factor)
+                    line[head] = with_error(mean * factor, error * factor)
             line["verdict"] = notes.get((str(scenario), str(variant), str(estimator)), "")
             if timing is not None:
                 here = timing[(timing["scenario"] == scenario) & (timing["variant"] == variant)
                               & (timing["estimator"] == estimator)]
                 if len(here):
-                    line["latency [us]"] = _number(float(here["latency_us_median"].iloc[0]))
-                    line["ns/run-step"] = _number(float(here["throughput_ns"].iloc[0]))
+                    line["latency [us]"] = number(float(here["latency_us_median"].iloc[0]))
+                    line["ns/run-step"] = number(float(here["throughput_ns"].iloc[0]))
             lines.append(line)
         frame = pd.DataFrame(lines).fillna("")
         order = ["estimator", *sorted(heads, key=heads.__getitem__),
@@ -82,7 +82,7 @@ def window_tables(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[t
             if len(given) < 2:
                 continue
             name, factor = shown_unit(about, "rmse", quantity, given[0][1].rpartition(":")[2])
-            lines = [{"window": window} | {str(label): _pair(*(factor * x for x in pooled_rmse(mine[column].dropna())))
+            lines = [{"window": window} | {str(label): with_error(*(factor * x for x in pooled_rmse(mine[column])))
                                            for label, mine in part.groupby("estimator", sort=False)}
                      for window, column in given]
             unit = f" [{name}]" if name else ""
@@ -103,20 +103,6 @@ def outage_tables(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 
 _STATUS = ("diverged", "failed", "crashed", "timeout", "infeasible")
 _LAST = ("latency [us]", "ns/run-step", "verdict")
-
-
-def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-
-
-def _pair(mean: float, error: float) -> str:
-    """`0.1234 ±0.0012`: the error with two digits, the mean to the same place."""
-    if not np.isfinite(error) or error <= 1e-9 * abs(mean):  # runs that differ by rounding alone
-        return _number(mean)
-    if abs(mean) >= 1e5 or max(abs(mean), error) < 1e-4:
-        return f"{mean:.2e} ±{error:.0e}"
-    places = int(np.clip(1 - np.floor(np.log10(error)), 0, 8))
-    return f"{mean:.{places}f} ±{error:.{places}f}"
 
 
 def to_markdown(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:

@@ -20,8 +20,11 @@ def number(value: float, digits: int = 3) -> str:
         places = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
         return f"{value:.{places}f}".replace("-", "−")
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"{mantissa}·10{power}".replace("-", "−")
+    return f"{mantissa}·10{_raised(int(exponent))}".replace("-", "−")
+
+
+def _raised(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def rough(value: float) -> str:
@@ -29,13 +32,22 @@ def rough(value: float) -> str:
     return number(float(f"{value:.2g}"), 2) if np.isfinite(value) else number(value)
 
 
-def plus_minus(found: Interval, factor: float = 1.0) -> str:
-    """`0.1234 ± 0.0021`: half the interval's width with two digits, the value to the same place."""
-    value, half = found.value * factor, (found.high - found.low) / 2 * factor
-    if not np.isfinite(half) or half <= 0 or not 1e-3 <= abs(value) < 1e5:
+def with_error(value: float, error: float) -> str:
+    """`0.1234 ± 0.0021`: the error with two digits, the value to the same place; powers of ten outside 0.001 .. 99999.
+    The value alone where the error is none, or rounding."""
+    if not np.isfinite(error) or error <= 1e-9 * abs(value):
         return number(value)
-    places = int(np.clip(1 - np.floor(np.log10(half)), 0, 6))
-    return f"{value:.{places}f} ± {half:.{places}f}".replace("-", "−")
+    power = int(np.floor(np.log10(max(abs(value), error))))
+    scale = 0 if -4 < power < 5 else power
+    value, error = value / 10.0**scale, error / 10.0**scale
+    places = int(np.clip(1 - np.floor(np.log10(error)), 0, 8))
+    text = f"{value:.{places}f} ± {error:.{places}f}"
+    return (f"({text})·10{_raised(scale)}" if scale else text).replace("-", "−")
+
+
+def plus_minus(found: Interval, factor: float = 1.0) -> str:
+    """`with_error` of half the interval's width."""
+    return with_error(found.value * factor, (found.high - found.low) / 2 * factor)
 
 
 def percent(share: float, digits: int = 2) -> str:
@@ -98,7 +110,7 @@ def _bare(relative: float) -> str:
 
 def numeric(values: Sequence[object]) -> bool:
     """Whether a table's column of texts holds numbers (or nothing), and so is set to the right."""
-    return all(str(value)[:1] in "0123456789-−+.∞–" for value in values)
+    return all(str(value)[:1] in "0123456789-−+.∞–(" for value in values)
 
 
 def metric_name(metric: str) -> str:
@@ -121,6 +133,12 @@ def some(names: Sequence[str], most: int = 4) -> str:
 def counted(number_of: int, noun: str) -> str:
     """`1 run`, `2 runs`."""
     return f"{number_of} {noun}" + ("" if number_of == 1 else "s")
+
+
+def notes_of(variant: Mapping[str, Any]) -> list[str]:
+    """What a reader of a variant's table must know: its notes, and which parameters were fitted."""
+    fitted = [f"Fitted, not printed by the source: {', '.join(variant['fitted'])}."] if variant["fitted"] else []
+    return [*variant["notes"], *fitted]
 
 
 def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) -> tuple[str, float]:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from railstate.benchmarks.batch import Store
-from railstate.benchmarks.latency import COLUMNS as TIMING
+from railstate.benchmarks.store import TIMING
 from railstate.benchmarks.summary import COLUMNS as SUMMARY
 
 from .conftest import Command

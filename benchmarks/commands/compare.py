@@ -16,7 +16,7 @@ from ...estimators.registry import estimators, load_file
 from ...scenarios.errors import InputError, Unsupported
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
-from ..batch import complete, default_folder, read_timing
+from ..batch import complete, default_folder
 from ..comparison import FINISHED, Changes, Contest, between_estimators, between_folders, speed_ratio, words
 from ..console import print_table
 from ..plan import find, make_plan
@@ -51,7 +51,7 @@ def compare(
         first, second = Store(a), Store(b)
         changes = between_folders(first, second)
         _print_rows(changes, a, b)
-        contests, speed = changes.contests, speed_ratio(read_timing(first), read_timing(second))
+        contests, speed = changes.contests, speed_ratio(first.timing(), second.timing())
         _print_contests(contests, a, b, speed)
         different = not changes.identical
     else:
@@ -62,13 +62,14 @@ def compare(
         different = False
         store = _run(a, b, scenario or [], runs, seed, jobs, set_, plugin, out)
         contests = between_estimators(store.rows(), store.manifest(), a, b)
-        timing = read_timing(store)
+        timing = store.timing()
         speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")
                                                         for name in (a, b)))
         _print_contests(contests, a, b, speed)
         if not contests:
-            raise InputError(f"{a} and {b} finished no two runs in common; `railstate replay` in {store.folder} shows "
-                             "why")
+            raise InputError(f"{a} and {b} finished no two runs in common: "
+                             + (f"`railstate replay` in {store.folder} shows why" if runs > 1 else
+                                "--runs: two at least are needed"))
     worse = [contest for contest in contests if contest.verdict == "worse"]
     if (fail_on == "worse" and worse) or (fail_on == "different" and different):
         raise typer.Exit(1)
@@ -142,8 +143,10 @@ def _print_contests(contests: list[Contest], a: str, b: str, speed: dict[tuple[s
         print(words(contest, a, b))
     for (cell, label), ratio in speed.items():
         if any(contest.cell == cell and contest.label == label for contest in contests):
-            faster = f"{rough(ratio)} times slower" if ratio >= 1 else f"{rough(1 / ratio)} times faster"
-            print(f"{cell}{'/' + label if label else ''}: {b} is {faster} than {a} (time per run and step)")
+            times = f"{rough(max(ratio, 1 / ratio))} times {'slower' if ratio > 1 else 'faster'} than"
+            if 0.95 < ratio < 1.05:
+                times = "as fast as"
+            print(f"{cell}{'/' + label if label else ''}: {b} is {times} {a} (time per run and step)")
     if contests:
         found = Counter(contest.verdict for contest in contests)
         counts = [f"{word} in {found[word]}" for word in ("better", "worse", "tie", "too few runs")

@@ -25,7 +25,7 @@ from ...scenarios.setting import Setting
 from ..console import print_table
 from ..drive import prepare
 from ..plan import checked_parameters, find_one
-from .options import Estimators, Sets, overrides, words
+from .options import Estimators, Sets, labels, overrides, words
 
 Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
 Delta = Annotated[float | None, typer.Option(help="sqrt(sum delta_i^2) in newtons (the scenario's resistive law).")]
@@ -170,11 +170,11 @@ def _setting(scenario: str, theta: float | None, delta: float | None, set_: list
 
 def _labels(setting: Setting[Any], only: str) -> list[str]:
     known = setting.config.estimators
-    for label in words(only):
+    for label in labels(only):
         if label not in known and label not in installed():
             raise InputError(f"{setting.config.name}: there is no estimator \"{label}\"; allowed: {', '.join(known)}, "
                              f"or the name of an installed estimator: {', '.join(installed())}")
-    return words(only) or list(known)
+    return labels(only) or list(known)
 
 
 def _thetas(text: str) -> list[float]:

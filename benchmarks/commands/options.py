@@ -25,6 +25,14 @@ def words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
+def labels(text: str) -> list[str]:
+    """`--estimators A,B`. Raises InputError for an option without a name in it."""
+    found = words(text)
+    if text and not found:
+        raise InputError(f"--estimators {text}: expected labels or names, such as ekf,ukf")
+    return found
+
+
 def value(text: str) -> Any:
     """A TOML value, or the text itself where it is none."""
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
@@ -21,7 +22,7 @@ def replay(
 ) -> None:
     """Run one row again; with --out compare it with the stored one."""
     parts = row.rsplit("/", 3)
-    if len(parts) != 4 or not parts[3].isdecimal():
+    if len(parts) != 4 or not parts[3].isdecimal() or len(parts[3]) > 9:
         raise InputError(f"{row}: expected SCENARIO/VARIANT/ESTIMATOR/RUN, such as ningbo-metro/switching/ekf/17")
     scenario, variant, label, number = parts
     plan = stored_plan(out) if out else make_plan([f"{scenario}/{variant}"], only=[label], seed=seed)
@@ -44,8 +45,10 @@ def replay(
         if stored.empty:
             print(f"  {out} has no such row yet")
         else:
-            same = all(stored[name].iloc[0] == found[name] or (found[name] != found[name])
-                       for name, *_ in metric_columns(again)) and stored["status"].iloc[0] == found["status"]
+            before = stored.iloc[0]
+            same = before["status"] == found["status"] and all(
+                name in before and (before[name] == found[name] or (pd.isna(before[name]) and pd.isna(found[name])))
+                for name, *_ in metric_columns(again))
             print(f"  {'bit-identical to' if same else 'DIFFERS from'} the row in {out}")
 
 

@@ -14,7 +14,7 @@ from ...scenarios.errors import InputError
 from ..batch import complete, default_folder, print_results
 from ..plan import make_plan
 from ..runner import Machinery
-from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, overrides, words
+from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, overrides, words
 
 
 def run(
@@ -42,9 +42,9 @@ def run(
     changes = {**overrides(set_), **_files(line, train, recording, map_)}
     if batch < 0 or jobs < 0:
         raise InputError("--batch and --jobs: must be 0 (chosen) or more")
-    if timeout <= 0:
+    if not timeout > 0:
         raise InputError("--timeout: must be more than 0 seconds")
-    plan = make_plan(scenarios or [], only=words(estimators), runs=runs, seed=seed, keep=keep, overrides=changes,
+    plan = make_plan(scenarios or [], only=labels(estimators), runs=runs, seed=seed, keep=keep, overrides=changes,
                      plugins=plugin)
     folder = Path(out) if out else default_folder(plan)
     machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout)

@@ -20,7 +20,8 @@ from ..plan import find_one, make_plan
 from ..runner import Machinery
 from ..store import Store
 from ..summary import summarise
-from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, overrides, value, words
+from ..wording import with_error
+from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, overrides, value, words
 
 
 def sweep(
@@ -36,13 +37,15 @@ def sweep(
     plugin: Plugins = [],  # noqa: B006
 ) -> None:
     """Run a scenario (its default variant unless one is named) at each value of a key."""
-    axes = dict(_axis(text) for text in over)
+    axes: dict[str, list[Any]] = {}
+    for key, values in map(_axis, over):
+        axes.setdefault(key, []).extend(item for item in values if item not in axes.get(key, []))
     fixed = overrides(set_)
     found, variant = find_one(scenario, fixed)
     name = scenario if scenario.endswith(f"/{variant}") else f"{scenario}/{variant}"
     folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key in axes)}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    plans = [make_plan([name], only=words(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
+    plans = [make_plan([name], only=labels(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
                        plugins=plugin) for point in points]
     machinery = Machinery(jobs or os.cpu_count() or 1)
     command = shlex.join(["railstate", *sys.argv[1:]])
@@ -85,7 +88,7 @@ def _grid(part: pd.DataFrame, keys: list[str], reasons: dict[tuple[str, ...], di
     """A line per swept point, a column per estimator: mean and standard error, or why there is no number."""
     names = list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))
     found = {(tuple(line[key] for key in keys), line["estimator"]):
-             f"{line['mean']:.4g} ±{line['standard_error']:.2g}" for line in part.to_dict("records")}
+             with_error(line["mean"], line["standard_error"]) for line in part.to_dict("records")}
     return pd.DataFrame([
         {**dict(zip(keys, point, strict=True)),
          **{name: found.get((point, name), reasons[point].get(name, "")) for name in names}} for point in reasons])
@@ -96,7 +99,8 @@ def _axis(text: str) -> tuple[str, list[Any]]:
     if not equals or not values:
         raise InputError(f"--over {text}: expected KEY=V1,V2,.., such as channel.trains=1,2,3")
     parsed = value(f"[{values}]")
-    return key, parsed if isinstance(parsed, list) else [value(item) for item in values.split(",")]
+    listed = parsed if isinstance(parsed, list) else [value(item) for item in values.split(",")]
+    return key, [item for place, item in enumerate(listed) if item not in listed[:place]]
 
 
 def _plain(item: Any) -> Any:

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ...scenarios.errors import InputError
 from ...scenarios.registry import setting_for
 from ...scenarios.setting import Setting
 from ..store import Store
@@ -131,7 +130,7 @@ def load_results(folder: str | Path) -> Results:
     manifest, rows = store.manifest(), store.rows()
     curves = _curves(store.curves())
     kept = _kept(store.trajectories())
-    timing = _timing(store.folder / "timing.csv")
+    timing = _timing(store.timing())
     styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
     scenarios: dict[str, list[Cell]] = {}
     for (scenario, variant), part in rows.groupby(["scenario", "variant"], sort=False):
@@ -194,16 +193,9 @@ def _split(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> dict[
     return out
 
 
-def _timing(path: Path) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
-    if not path.is_file():
-        return {}
-    try:
-        frame = pd.read_csv(path)
-        keys = frame[["scenario", "variant", "estimator"]].astype(str).to_numpy().tolist()
-        numbers = frame.drop(columns=["scenario", "variant", "estimator"]).astype(float)
-    except (ValueError, KeyError, OSError) as error:
-        raise InputError(f"{path}: damaged: {error}") from None
+def _timing(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
     out: dict[tuple[str, str], dict[str, dict[str, float]]] = {}
-    for (scenario, variant, label), values in zip(keys, numbers.to_dict("records"), strict=True):
-        out.setdefault((scenario, variant), {})[label] = {str(name): value for name, value in values.items()}
+    for line in [] if frame is None else frame.to_dict("records"):
+        scenario, variant, label = (str(line.pop(name)) for name in ("scenario", "variant", "estimator"))
+        out.setdefault((scenario, variant), {})[label] = {str(name): float(value) for name, value in line.items()}
     return out

@@ -4,13 +4,11 @@ Everything comes from the rows, curves, kept runs, timing and manifest; nothing 
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -23,7 +21,7 @@ from ..figures.data import Cell, Results, load_results
 from ..paragraphs import paragraph
 from ..store import Store
 from ..verdicts import contest_words, robust_contests
-from ..wording import counted
+from ..wording import counted, notes_of
 from .table import Failure, Table, failures, table
 
 
@@ -98,7 +96,6 @@ def facts(results: Results) -> list[tuple[str, str]]:
     version = f"railstate {manifest['railstate']}"
     if commit:
         version += f", commit {commit[:10]}" + (" with uncommitted changes" if environment["git_dirty"] else "")
-    again = shlex.split(manifest["command"])
     return [
         ("Run", f"{counted(len(configuration['cells']), 'scenario variant')}, {configuration['runs']} runs each, "
                 f"seed {configuration['seed']}"),
@@ -107,7 +104,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
         ("Where", f"{environment['processor']}, {counted(environment['cores'], 'core')}, {environment['platform']}"),
         ("Versions", f"{version}; Python {environment['python']}, "
                      + ", ".join(f"{name} {number}" for name, number in packages.items())),
-        ("Run again", shlex.join(again)),
+        ("Run again", manifest["command"]),
     ]
 
 
@@ -133,15 +130,10 @@ def section(results: Results, name: str, cells: Sequence[Cell]) -> Section:
     kept = any(cell.kept for cell in cells)
     return Section(
         name, about["title"], about["source"], paragraph(results.rows, results.manifest, name), headline, whole,
-        [Variant(cell.variant, about["variants"][cell.variant]["title"], _notes(about["variants"][cell.variant]),
+        [Variant(cell.variant, about["variants"][cell.variant]["title"], notes_of(about["variants"][cell.variant]),
                  cell.runs, table(cell), failures(cell, str(results.folder)), by_variant[cell.variant])
          for cell in cells],
         "" if kept else "Example runs are not shown: this run kept no trajectories (railstate run --keep 1).")
-
-
-def _notes(about: Mapping[str, Any]) -> list[str]:
-    fitted = [f"Fitted, not printed by the source: {', '.join(about['fitted'])}."] if about["fitted"] else []
-    return [*about["notes"], *fitted]
 
 
 def _drawn(figure: Figure, canvas: Canvas) -> Drawn:
