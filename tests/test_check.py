@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from railstate.benchmarks.conformance import check
-from railstate.benchmarks.conformance_rules import RULES
+from railstate.benchmarks.conformance.rules import RULES
 from railstate.estimators.registry import estimators
 
 from .conftest import Command
@@ -83,7 +83,10 @@ def plugin(folder: Path, rule: str) -> Path:
 def test_every_built_in_keeps_every_rule(name: str) -> None:
     report = check(estimators()[name], name, {})
     assert report.findings == []
-    assert report.kept and all(len(kept) == len(RULES) for kept in report.kept.values())
+    everywhere = [rule.name for rule in RULES[:-1]]  # parts of a step are tried on the small model, by those who take any
+    assert report.kept and all(kept[:len(everywhere)] == everywhere for kept in report.kept.values())
+    if name in ("kalman", "ekf", "ukf", "ckf", "particle", "dead-reckoning", "robust-mean-square"):
+        assert "parts of a step" in report.kept["small model"]
 
 
 def test_every_rule_has_a_broken_plug_in() -> None:
@@ -94,7 +97,8 @@ def test_the_plug_in_they_are_made_from_keeps_every_rule(railstate: Command) -> 
     (railstate.folder / "sound.py").write_text(TEMPLATE)
     done = railstate("check", "sound.py", "--scenario", "cart.toml/calm")
     assert done.code == 0 and done.err == "" and "sound: all rules kept" in done.out
-    assert f"cart/calm: {len(RULES)} rules kept" in done.out
+    assert f"small model: {len(RULES)} rules kept" in done.out
+    assert f"cart/calm: {len(RULES) - 1} rules kept" in done.out  # no parts of a step there
 
 
 @pytest.mark.parametrize("rule", CHANGES)
@@ -112,3 +116,18 @@ def test_a_broken_plug_in_is_caught(railstate: Command, rule: str) -> None:
     follow = {"causality": {"missing measurements"}, "independence": {"parts of a step"}, "determinism": others,
               "global random state": others}
     assert others <= follow.get(rule, set()), done.out
+
+
+@pytest.mark.parametrize(("old", "new", "rule", "happened"), [
+    ("        super().start(model, runs, random)\n", "", "runs", "in predict"),
+    ("    claims = (", "    needs = \"linear\"\n    claims = (", "description", "needs = 'linear'"),
+    ("    def start(", "    def __init__(self):\n        super().__init__()\n\n    def start(", "runs", "TypeError"),
+    ("Estimate(self.x,", "Estimate(self.x.tolist(),", "shapes", "mean is list, not an array"),
+    ("    def start(", "    def design(self, model):\n        import os\n        os._exit(3)\n\n    def start(", "runs",
+     "the process running it died"),
+], ids=["no-super", "needs", "init", "list", "dies"])
+def test_what_cannot_even_begin_is_a_finding(railstate: Command, old: str, new: str, rule: str, happened: str) -> None:
+    assert TEMPLATE.count(old) == 1
+    (railstate.folder / "odd.py").write_text(TEMPLATE.replace(old, new))
+    done = railstate("check", "odd.py", "--scenario", "cart.toml/calm")
+    assert done.code == 1 and f"BROKEN {rule}" in done.out and happened in done.out and "Traceback" not in done.err

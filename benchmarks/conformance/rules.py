@@ -11,10 +11,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from ..estimators.interface import Array, Status, misshapen
-from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel
-from .conformance import CLAIMS, Record, Rule, Trial, difference, feed
+from ...estimators.interface import Array, Status, misshapen
+from ...scenarios.errors import Unsupported
+from ...scenarios.model import DesignModel
+from .trial import CLAIMS, DoesNotApply, Record, Rule, Trial, difference, feed
 
 ROUNDING = 1e-9
 """How far a claimed matrix may be from symmetric and semi-definite, relative to its largest element."""
@@ -172,7 +172,7 @@ def _pickling(trial: Trial) -> str | None:
 
 def _parts(trial: Trial) -> str | None:
     if not trial.case.exact_parts or trial.cls.oracle:
-        return None
+        raise DoesNotApply
     tape = trial.case.tape.copy()
     share = np.array([0.0, 0.4, 1.0])
     events, runs = len(tape.portions), len(tape.runs)
@@ -182,7 +182,7 @@ def _parts(trial: Trial) -> str | None:
     try:
         record = trial.feed(tape)
     except Unsupported:
-        return None
+        raise DoesNotApply from None
     for e, portion in enumerate(portions):
         before, after = (Record(record.estimates[i:i + 1], record.when[i:i + 1], record.status, {})
                          for i in (2 * e, 2 * e + 2))

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from ..estimators.interface import Array, Estimator, Mask
-from ..scenarios.errors import Infeasible, InputError
-from ..scenarios.model import Bounds, DesignModel, Linear, Modes, Portion, Reception, linear_model
-from ..scenarios.randomness import Streams
-from ..scenarios.registry import scenario_files
-from ..scenarios.schema import EstimatorEntry
-from ..scenarios.setting import Setting
-from ..scenarios.world import Step
-from .plan import find
+from ...estimators.interface import Array, Estimator, Mask
+from ...scenarios.errors import Infeasible, InputError
+from ...scenarios.model import Bounds, DesignModel, Linear, Modes, Portion, Reception, linear_model
+from ...scenarios.randomness import Streams
+from ...scenarios.registry import scenario_files
+from ...scenarios.schema import EstimatorEntry
+from ...scenarios.setting import Setting
+from ...scenarios.world import Step
+from ..plan import find
 
 RUNS = (0, 1, 2, 3, 4)
 STEPS = 16

@@ -1,25 +1,23 @@
-"""The conformance test of estimators: tapes are fed and compared bit for bit; findings say how to mend what is broken.
-
-`check` runs every rule of `conformance_rules` on the small model and on a scenario."""
+"""Feeding a tape to an estimator and comparing what it says bit for bit: what the rules are made of."""
 
 from __future__ import annotations
 
+import os
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from ..estimators.interface import Array, Estimate, Estimator
-from ..scenarios.errors import Infeasible, InputError
-from ..scenarios.files import describe
-from ..scenarios.model import DesignModel
-from ..scenarios.randomness import Streams
-from .conformance_cases import Case, Tape, scenario_case, small_case
+from ...estimators.interface import Array, Estimate, Estimator
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import Streams
+from .tapes import Case, Tape
 
+HERE = Path(__file__).resolve().parents[2]
 CLAIMS = tuple(item.name for item in fields(Estimate))
 
 
@@ -60,33 +58,18 @@ class Trial:
         return feed(self.cls, self.case, (self.case.tape if tape is None else tape).copy(), **how)
 
 
+class DoesNotApply(Exception):
+    """A rule that a case or an estimator gives no occasion to break."""
+
+
 class Rule(NamedTuple):
-    """`test` returns what happened where the rule is broken, None where it is kept."""
+    """`test` returns what happened where the rule is broken, None where it is kept. Raises DoesNotApply where this case
+    cannot show it."""
 
     name: str
     expected: str
     mend: str
     test: Callable[[Trial], str | None]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A broken rule."""
-
-    rule: str
-    case: str
-    expected: str
-    happened: str
-    mend: str
-
-
-@dataclass(frozen=True)
-class Report:
-    """Outcome of a check: rules kept per case, cases left out with their reason, findings."""
-
-    kept: dict[str, list[str]]
-    left_out: dict[str, str]
-    findings: list[Finding]
 
 
 def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | None = None,
@@ -116,58 +99,12 @@ def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | 
     return Record(estimates, when, np.array(estimator.status), dict(estimator.reasons))
 
 
-def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scenario: str = "") -> Report:
-    """Check an estimator class on the small model and on a scenario. Raises InputError for parameters or a scenario
-    that cannot be."""
-    from .conformance_rules import RULES
-
-    try:
-        cls.Parameters.model_validate(dict(parameters))
-    except ValidationError as error:
-        # what is missing a scenario may give
-        wrong = [line for line in describe(error, "parameters") if not line.endswith(": missing")]
-        if wrong:
-            raise InputError("\n".join(wrong)) from None
-    found = scenario_case(cls, plugin, parameters, scenario)
-    cases = [small_case(parameters), *([found] if found else [])]
-    report = Report({}, {}, [])
-    if not found:
-        report.left_out["scenarios"] = "no built-in scenario gives what it needs"
-    for case in cases:
-        try:
-            record = feed(cls, case, case.tape.copy())
-        except (Infeasible, ValidationError) as error:
-            report.left_out[case.name] = str(error)
-            continue
-        except Exception as error:
-            report.findings.append(Finding("runs", case.name, "design, start, predict, update and estimate do their "
-                                           "work", raised(error), "see the line named above"))
-            continue
-        trial = Trial(cls, case, record)
-        for rule in RULES:
-            try:
-                happened = rule.test(trial)
-            except Exception as error:
-                happened = raised(error)
-            if happened is None:
-                report.kept.setdefault(case.name, []).append(rule.name)
-            else:
-                report.findings.append(Finding(rule.name, case.name, rule.expected, happened, rule.mend))
-                if rule is RULES[0]:
-                    break  # without the right shapes the other rules say nothing
-    if len(report.left_out) == 2:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in report.left_out.items())
-        report.findings.append(Finding("runs", "all", "a design model it works with", reasons,
-                                       "name a scenario that gives what it needs (--scenario), or parameters that fit "
-                                       "it (--parameter KEY=VALUE)"))
-    return report
-
-
 def raised(error: Exception) -> str:
     """An exception with the place in the plug-in where it came from."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = next((f" at {frame.filename}:{frame.lineno} in {frame.name}" for frame in reversed(frames)
-                  if "conformance" not in frame.filename), "")
+    plug_in = [frame for frame in frames if f"{os.sep}railstate{os.sep}" not in frame.filename
+               and not Path(frame.filename).is_relative_to(HERE)]
+    place = next((f" at {frame.filename}:{frame.lineno} in {frame.name}" for frame in reversed(plug_in or frames)), "")
     return f"it raised {type(error).__name__}: {error}{place}"
 
 
