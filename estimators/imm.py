@@ -9,12 +9,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..scenarios.model import DesignModel, Modes, Portion, whole_steps
 from ..scenarios.randomness import RunRandom
 from . import stochastic_m_transition as transitions
-from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
+from .interface import Estimate, Estimator, Mask, Parameters, Status, flag, used_with
 from .stochastic_m_cloud import ROUNDING
 from .stochastic_m_factorised import known_states
 from .stochastic_m_full import kalman_block, mixture, whitened
@@ -129,6 +129,11 @@ class ModelTransition(Parameters):
         "tridiagonal", description="uniform: any value from any; tridiagonal: stay, or one grid value up or down; "
         "groups: any value of the GSMA's group")
     stay: float = Field(0.9, gt=0, le=1, description="probability of staying (tridiagonal)")
+
+    @model_validator(mode="after")
+    def _used(self) -> ModelTransition:
+        used_with(self, "stay", "transition", "tridiagonal")
+        return self
 
 
 class InteractingMultipleModel(ModeFilters):

@@ -4,6 +4,7 @@ Everything numerical carries the runs as its last axis. One instance serves one 
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -73,6 +74,12 @@ class Parameters(BaseModel):
     """Base of an estimator's parameters. Give each field a description with its unit and source."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def used_with(parameters: Parameters, name: str, other: str, value: Any) -> None:
+    """Raise ValueError where a parameter is given that has no meaning but with a value of another one."""
+    if name in parameters.model_fields_set and getattr(parameters, other) != value:
+        raise ValueError(f"{name} is used with {other} = {json.dumps(value)} only: leave it out")
 
 
 class Estimator(ABC):

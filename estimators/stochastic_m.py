@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..scenarios.model import Modes
 from . import stochastic_m_transition as transitions
+from .interface import used_with
 from .stochastic_m_cloud import CloudParameters, GridParticles
 
 Array = NDArray[np.float64]
@@ -34,7 +35,12 @@ class StochasticMParameters(CloudParameters):
     memoryless: bool = Field(False, description="weights of eqs. (17), (18), which forget the parent's")
     prior: Literal["group", "sticky"] = Field(
         "group", description="p(theta'|theta): equal over the children, or `stay` and the rest to the neighbours")
-    stay: float = Field(0.9, gt=0, le=1, description=STAY)
+    stay: float = Field(0.9, gt=0, lt=1, description=STAY)
+
+    @model_validator(mode="after")
+    def _used(self) -> StochasticMParameters:
+        used_with(self, "stay", "prior", "sticky")
+        return self
 
 
 class GroupParameters(StochasticMParameters):
@@ -53,8 +59,15 @@ class RaoBlackwellizedParameters(CloudParameters):
         "optimal", description="static: the parameter never moves; optimal: eqs. (9), (12), (13) over the grid; "
         "bootstrap: drawn from the prior")
     prior: Literal["uniform", "sticky"] = Field("uniform", description="p(theta'|theta) of optimal and bootstrap")
-    stay: float = Field(0.9, gt=0, le=1, description=STAY)
-    jitter: float = Field(0.0, ge=0, lt=1, description="static only: probability of moving to a neighbouring value")
+    stay: float = Field(0.9, gt=0, lt=1, description=STAY)
+    jitter: float = Field(0.0, ge=0, lt=1, description="probability of moving to a neighbouring value, with "
+                          "proposal = static")
+
+    @model_validator(mode="after")
+    def _used(self) -> RaoBlackwellizedParameters:
+        used_with(self, "stay", "prior", "sticky")
+        used_with(self, "jitter", "proposal", "static")
+        return self
 
 
 class StochasticM(GridParticles):

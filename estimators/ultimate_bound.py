@@ -57,10 +57,15 @@ def error_system(model: DesignModel) -> ErrorSystem:
 class GainParameters(Parameters):
     """What the constant-gain estimators share."""
 
-    theta: float | None = Field(None, gt=0, lt=1, description="decay of the certificate, per step; None: what the "
-                                "scenario's knowledge says, else 0.98, the paper's choice")
     multipliers: Multipliers = Field("scalar", description="scalar: lambda_1 I and lambda_2 I as in the paper; free: "
                                      "any matrix Lambda_1 >= 0, diagonal Lambda_2 (as valid, much tighter)")
+
+
+class DecayParameters(GainParameters):
+    """The decay that is asked of a certificate."""
+
+    theta: float | None = Field(None, gt=0, lt=1, description="decay of the certificate, per step; None: what the "
+                                "scenario's knowledge says, else 0.98, the paper's choice")
 
 
 class ConstantGain(Estimator):
@@ -69,7 +74,7 @@ class ConstantGain(Estimator):
     In filtered form, so that a prediction is the plain model: an update adds A^-1 K Pi (y - C x^). The certified bound
     holds from the first step where the estimator starts at the truth, else after the transient theta^k V(0)."""
 
-    Parameters = GainParameters
+    Parameters = DecayParameters
     source = "Zou, Wen, Wang, Chen, Roberts, IEEE T-ITS 2018, doi 10.1109/TITS.2018.2835655"
     needs: ClassVar[tuple[str, ...]] = ("linear",)
     claims = ("bound",)
@@ -186,7 +191,7 @@ def _from_file(given: Any, info: ValidationInfo) -> Any:
         raise ValueError(str(error)) from None
 
 
-class FixedGainParameters(GainParameters):
+class FixedGainParameters(DecayParameters):
     """Where the gain is."""
 
     gain: Annotated[list[list[float]], BeforeValidator(_from_file)] = Field(

@@ -83,7 +83,7 @@ def plugin(folder: Path, rule: str) -> Path:
 def test_every_built_in_keeps_every_rule(name: str) -> None:
     report = check(estimators()[name], name, {})
     assert report.findings == []
-    everywhere = [rule.name for rule in RULES[:-1]]  # parts of a step are tried on the small model, by those who take any
+    everywhere = [rule.name for rule in RULES[:-1]]  # parts of a step are tried on the small model
     assert report.kept and all(kept[:len(everywhere)] == everywhere for kept in report.kept.values())
     if name in ("kalman", "ekf", "ukf", "ckf", "particle", "dead-reckoning", "robust-mean-square"):
         assert "parts of a step" in report.kept["small model"]

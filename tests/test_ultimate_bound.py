@@ -211,7 +211,7 @@ def test_estimator_is_equation_10(variant: str) -> None:
 def test_runs_do_not_depend_on_their_neighbours() -> None:
     def drive(runs: list[int]) -> np.ndarray:
         told = model(runs=len(runs))
-        estimator = FixedGain({"gain": PUBLISHED}) if told.nx == 12 else UltimateBound()
+        estimator = UltimateBound()
         estimator.design(told)
         estimator.start(told, len(runs), RunRandom(0, ("s", "v"), runs))
         random = RunRandom(0, ("s", "v", "data"), runs)

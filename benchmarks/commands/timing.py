@@ -17,7 +17,7 @@ def timing(
     repeats: Annotated[int, typer.Option(help="Repetitions; the median is shown.")] = 5,
 ) -> None:
     """Measure whole filter steps as the runner drives them, against a peer doing the same work."""
-    from ..speed import COMPARISONS
+    from ..speed import COMPARISONS, compare
 
     chosen = words(only) or list(COMPARISONS)
     unknown = [name for name in chosen if name not in COMPARISONS]
@@ -26,5 +26,4 @@ def timing(
     if repeats < 1:
         raise InputError("--repeats: must be at least 1")
     for name in chosen:
-        title, measure = COMPARISONS[name]
-        print_table(f"{name}: {title}", pd.DataFrame(measure(repeats)))
+        print_table(f"{name}: {COMPARISONS[name]}", pd.DataFrame(compare(name, repeats)))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from .speed import Row, cell_of, line, ours, peer, recorded
+from .measure import Row, cell_of, line, ours, peer, recorded
 
 STEPS, PEER_RUNS = 200, 3
 

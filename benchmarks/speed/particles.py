@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..estimators.reference.particle_loop import particle_loop
-from ..estimators.registry import estimators
-from ..scenarios.randomness import Streams
-from .plan import Cell
-from .speed import Array, Row, cell_of, line, ours, peer, recorded
+from ...estimators.reference.particle_loop import particle_loop
+from ...estimators.registry import estimators
+from ...scenarios.randomness import Streams
+from ..plan import Cell
+from .measure import Array, Row, cell_of, line, ours, peer, recorded
 
 RUNS, STEPS, PEER_STEPS = 200, 150, 30
 

@@ -1,6 +1,4 @@
-"""Speed side by side with named peers doing the same work, in one process, on one thread: `railstate timing`.
-
-Ours are whole filter steps as the runner drives them; peers are bare loops of their own, as their users write them."""
+"""What the speed comparisons share: our steps as the runner drives them, a peer's own loop, a line of the table."""
 
 from __future__ import annotations
 
@@ -11,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..estimators.registry import estimators
-from ..scenarios.randomness import Streams
-from ..scenarios.world import Trajectory
-from .drive import drive, prepare
-from .execute import FirstSteps
-from .latency import measure
-from .plan import Cell, make_plan
+from ...estimators.registry import estimators
+from ...scenarios.randomness import Streams
+from ...scenarios.world import Trajectory
+from ..drive import drive, prepare
+from ..execute import FirstSteps
+from ..latency import measure
+from ..plan import Cell, make_plan
 
 Array = NDArray[np.float64]
 Row = dict[str, str]
@@ -89,35 +87,3 @@ def recorded(cell: Cell, runs: int) -> Trajectory:
 def latency(cell: Cell, label: str) -> float:
     """Median microseconds of one step of one run."""
     return 1e6 * float(np.median(measure(cell, label, 1)[1]))
-
-
-def _metro(repeats: int) -> list[Row]:
-    from .speed_metro import compare
-
-    return compare(repeats)
-
-
-def _cars(repeats: int) -> list[Row]:
-    from .speed_cars import compare
-
-    return compare(repeats)
-
-
-def _robust(repeats: int) -> list[Row]:
-    from .speed_robust import compare
-
-    return compare(repeats)
-
-
-def _particles(repeats: int) -> list[Row]:
-    from .speed_particles import compare
-
-    return compare(repeats)
-
-
-COMPARISONS: dict[str, tuple[str, Callable[[int], list[Row]]]] = {
-    "metro": ("2 states, filterpy's own loop with a plain Python model", _metro),
-    "cars": ("12 states with missing packets, filterpy and simdkalman", _cars),
-    "robust": ("batched fast form against the convex form (DPP-parametrised, Clarabel)", _robust),
-    "particles": ("braking rate, against a numpy loop over particles", _particles),
-}

@@ -13,9 +13,9 @@ from filterpy.kalman import (
     spherical_radial_sigmas,
 )
 
-from ..estimators.sigma_point import UnscentedKalman
-from ..scenarios.metro import Metro
-from .speed import Array, Row, cell_of, latency, line, ours, peer, recorded
+from ...estimators.sigma_point import UnscentedKalman
+from ...scenarios.metro import Metro
+from .measure import Array, Row, cell_of, latency, line, ours, peer, recorded
 
 RUNS, STEPS, PEER_RUNS = 1000, 200, 3
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .plan import Cell
-from .speed import Row, cell_of, line, ours
+from ..plan import Cell
+from .measure import Row, cell_of, line, ours
 
 RUNS, STEPS, PEER_STEPS = 100, 200, 40
 

@@ -1,0 +1,39 @@
+"""`railstate timing`: both sides of every comparison do the same work; a peer that is not there is one message."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from railstate.benchmarks.speed import COMPARISONS, cars, compare, metro, particles, robust
+
+from .conftest import Command
+
+SMALL = {"metro": (metro, {"RUNS": 12, "STEPS": 30}, 2e-8), "cars": (cars, {"STEPS": 25}, 1e-9),
+         "robust": (robust, {"RUNS": 5, "STEPS": 10, "PEER_STEPS": 8}, 1e-5),
+         "particles": (particles, {"RUNS": 4, "STEPS": 10, "PEER_STEPS": 10}, 1e-9)}
+
+
+def test_every_comparison_is_tried() -> None:
+    assert list(SMALL) == list(COMPARISONS)
+
+
+@pytest.mark.parametrize("name", COMPARISONS)
+def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, sizes, apart = SMALL[name]
+    for constant, size in sizes.items():
+        monkeypatch.setattr(module, constant, size)
+    lines = compare(name, 1)
+    assert lines
+    for line in lines:
+        assert float(line["estimates differ by"]) < apart, line
+        assert float(line["ns/run-step"]) > 0 and float(line["peer ns/run-step"]) > 0
+
+
+def test_a_peer_that_is_not_installed_is_one_message(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "simdkalman", None)
+    monkeypatch.setattr(cars, "STEPS", 3)
+    done = railstate("timing", "--only", "cars", "--repeats", 1)
+    assert done.code == 2 and "its peer simdkalman is not installed" in done.err and "Traceback" not in done.err
+    refused = railstate("timing", "--only", "horses")
+    assert refused.code == 2 and "allowed: metro, cars, robust, particles" in refused.err
