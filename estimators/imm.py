@@ -13,12 +13,12 @@ from pydantic import Field, model_validator
 
 from ..scenarios.model import DesignModel, Modes, Portion, whole_steps
 from ..scenarios.randomness import RunRandom
-from . import stochastic_m_transition as transitions
 from .interface import Estimate, Estimator, Mask, Parameters, Status, flag, used_with
-from .stochastic_m_cloud import ROUNDING
-from .stochastic_m_factorised import known_states
-from .stochastic_m_full import kalman_block, mixture, whitened
-from .stochastic_m_select import normalise
+from .stochastic_m import transition as transitions
+from .stochastic_m.cloud import ROUNDING
+from .stochastic_m.factorised import known_states
+from .stochastic_m.full import kalman_block, mixture, whitened
+from .stochastic_m.select import normalise
 
 Array = NDArray[np.float64]
 

@@ -77,15 +77,17 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
 @cache
 def source_hash(cls: type[Any]) -> str:
     """Hash of the source a class is made of: its own and its bases' modules, and for modules of railstate the whole
-    folder they lie in (kernels and plants included)."""
-    files: set[Path] = set()
+    package they lie in (kernels and plants included)."""
+    files: dict[str, Path] = {}
     for base in cls.__mro__:
         file = getattr(sys.modules.get(base.__module__), "__file__", None)
         if file and base.__module__.startswith("railstate."):
-            files.update(Path(file).parent.glob("*.py"))
+            package = ".".join(base.__module__.split(".")[:2])
+            root = Path(sys.modules[package].__path__[0])
+            files.update({f"{package}/{path.relative_to(root).as_posix()}": path for path in root.rglob("*.py")})
         elif file and base is not object:
-            files.add(Path(file))
+            files[base.__module__] = Path(file)
     digest = hashlib.sha256()
-    for path in sorted(files, key=lambda path: path.name):
+    for _, path in sorted(files.items()):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.estimators import stochastic_m_transition as transitions
 from railstate.estimators.imm import InteractingMultipleModel, KnownParameterKalman
 from railstate.estimators.interface import Estimator, Status
+from railstate.estimators.stochastic_m import transition as transitions
 from railstate.scenarios.braking import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load

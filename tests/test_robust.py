@@ -12,7 +12,7 @@ import pytest
 from railstate.benchmarks.drive import drive, prepare
 from railstate.benchmarks.store import Store
 from railstate.estimators.interface import Estimator, Status
-from railstate.estimators.robust import RobustBounded, RobustEllipsoid, RobustMeanSquare
+from railstate.estimators.robust.estimators import RobustBounded, RobustEllipsoid, RobustMeanSquare
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.model import Bounds, DesignModel, Linear, linear_model
@@ -314,7 +314,7 @@ def test_they_run_on_the_other_settings(railstate: Command, scenario: str, label
 
 
 def test_where_they_cannot_run_it_says_why(railstate: Command) -> None:
-    """F1 has no memory: a step without a packet is no contraction. A stop's command changes what f does to the state."""
+    """F1 has no memory: a step without a packet is no contraction. A stop's command changes what f does."""
     done = railstate("run", "cbtc-csma/uniform", "--estimators", "robust-bounded", "--runs", 2, "--jobs", 1, "--set",
                      "time.steps=200")
     assert done.code == 0 and "infeasible: cbtc-csma/uniform/robust-bounded, 2 of 2 runs" in done.out

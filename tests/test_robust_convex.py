@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from railstate.benchmarks.drive import prepare
 from railstate.estimators.interface import Status
-from railstate.estimators.robust import RobustBounded, RobustEllipsoid, RobustMeanSquare
-from railstate.estimators.robust_convex import BoundedProblem, RecursiveProblem, Solution
-from railstate.estimators.robust_fast import recursive_step
-from railstate.estimators.robust_memoryless import memoryless_step
+from railstate.estimators.robust.convex import BoundedProblem, RecursiveProblem, Solution
+from railstate.estimators.robust.estimators import RobustBounded, RobustEllipsoid, RobustMeanSquare
+from railstate.estimators.robust.fast import recursive_step
+from railstate.estimators.robust.memoryless import memoryless_step
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
 

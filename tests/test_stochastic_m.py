@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from railstate.benchmarks.drive import Driven, drive
-from railstate.estimators import stochastic_m_transition as transitions
 from railstate.estimators.imm import InteractingMultipleModel, KnownParameterKalman
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.reference.particle_loop import particle_loop
-from railstate.estimators.stochastic_m import GroupStochasticM, RaoBlackwellizedParticle, StochasticM
-from railstate.estimators.stochastic_m_select import exponentials, heaviest, normalise, systematic
+from railstate.estimators.stochastic_m import transition as transitions
+from railstate.estimators.stochastic_m.estimators import GroupStochasticM, RaoBlackwellizedParticle, StochasticM
+from railstate.estimators.stochastic_m.select import exponentials, heaviest, normalise, systematic
 from railstate.scenarios.braking import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..stochastic_m_cloud import GridParticles
+from ..stochastic_m.cloud import GridParticles
 
 Array = NDArray[np.float64]
 

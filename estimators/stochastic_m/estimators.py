@@ -12,10 +12,10 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..scenarios.model import Modes
-from . import stochastic_m_transition as transitions
-from .interface import used_with
-from .stochastic_m_cloud import CloudParameters, GridParticles
+from ...scenarios.model import Modes
+from ..interface import used_with
+from . import transition as transitions
+from .cloud import CloudParameters, GridParticles
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import kernel
-from .robust_raw import raw_measurement
-from .robust_small import TINY, contraction, factorise, solve
+from ..kernels import kernel
+from .raw import raw_measurement
+from .small import TINY, contraction, factorise, solve
 
 TOLERANCE = 1e-10
 """Relative fall of the objective at which the alternation ends. Any multipliers give a valid bound: ending is safe."""

@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..scenarios.errors import Unsupported
-from ..scenarios.model import Modes
-from .stochastic_m_gain import Factors, gain_of, innovation, product
-from .stochastic_m_select import collapse, distinct, normalise, select
+from ...scenarios.errors import Unsupported
+from ...scenarios.model import Modes
+from .gain import Factors, gain_of, innovation, product
+from .select import collapse, distinct, normalise, select
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import kernel
-from .robust_small import TINY, contraction, factorise, largest_eigenvalue, solve
+from ..kernels import kernel
+from .small import TINY, contraction, factorise, largest_eigenvalue, solve
 
 
 @kernel

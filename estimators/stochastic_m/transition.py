@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scenarios.errors import Unsupported
+from ...scenarios.errors import Unsupported
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Modes, Portion, whole_steps
-from ..scenarios.randomness import RunRandom
-from . import stochastic_m_factorised as factorised
-from . import stochastic_m_full as full
-from .interface import Estimate, Estimator, Mask, Parameters, Status, flag
+from ...scenarios.errors import Unsupported
+from ...scenarios.model import DesignModel, Modes, Portion, whole_steps
+from ...scenarios.randomness import RunRandom
+from ..interface import Estimate, Estimator, Mask, Parameters, Status, flag
+from . import factorised, full
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -1,6 +1,6 @@
 """Robust estimators for disturbances that are bounded and otherwise unknown: F1 (the paper's), F2 and F3.
 
-The gain of every step solves a convex problem: compiled in `robust_fast` (F2, F3) and `robust_memoryless` (F1), in
+The gain of every step solves a convex problem: compiled in `fast` (F2, F3) and `memoryless` (F1), in
 cvxpy in `robust_convex`."""
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from ..scenarios.model import DesignModel
-from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Mask, Status
-from .robust_base import Robust, RobustParameters, SensorParameters, plain
-from .robust_fast import recursive_step
-from .robust_memoryless import memoryless_step
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import RunRandom
+from ..interface import Array, Estimate, Mask, Status
+from .base import Robust, RobustParameters, SensorParameters, plain
+from .fast import recursive_step
+from .memoryless import memoryless_step
 
 
 class RecursiveParameters(RobustParameters):
@@ -64,7 +64,7 @@ class _Recursive(Robust):
         self._Pi, self._P = self._P, self._Pi
 
     def _find_convex(self, C: Array, received: Mask) -> None:
-        from .robust_convex import RecursiveProblem
+        from .convex import RecursiveProblem
 
         nx, ny = self.model.nx, self.model.ny
         if self._convex is None:
@@ -166,7 +166,7 @@ class RobustBounded(Robust):
             memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._v, C, received,
                             self.parameters.mu, self._K, self._P, self._objective, self.stability, self._verdict)
             return
-        from .robust_convex import BoundedProblem
+        from .convex import BoundedProblem
 
         if self._convex is None:
             self._convex = BoundedProblem(self.model.nx, self._whole.shape[1], self.model.ny, self.parameters.mu)

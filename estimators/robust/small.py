@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import kernel
+from ..kernels import kernel
 
 TINY = 1e-200
 """A squared linearisation error under this is none: its multiplier would overflow."""

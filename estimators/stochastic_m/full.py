@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..scenarios.model import Modes
-from .stochastic_m_select import collapse, distinct, normalise, select
+from ...scenarios.model import Modes
+from .select import collapse, distinct, normalise, select
 
 Array = NDArray[np.float64]
 CHUNK = 64
@@ -177,7 +177,7 @@ def mixture(w, n, values, x, P, mean, covariance):
 @njit(cache=True)
 def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_weight, memoryless, optimal, commit,
          out):
-    """As `stochastic_m_factorised.step`, with a Kalman filter per child."""
+    """As `factorised.step`, with a Kalman filter per child."""
     runs, nx, _ = cloud.x.shape
     g = children.shape[1]
     size = n * g

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import kernel
-from .robust_small import factorise, invert
+from ..kernels import kernel
+from .small import factorise, invert
 
 
 @kernel
