@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from . import statistics as st
 from .statistics import Array
@@ -147,8 +146,10 @@ def _decided(pairs: list[_Pair]) -> list[Contest]:
 
 def _sign_test(pair: _Pair) -> float:
     """Two-sided exact p that runs only B lost and runs only A lost are equally likely."""
+    from scipy.stats import binomtest
+
     worse, better = int((pair.b > pair.a).sum()), int((pair.b < pair.a).sum())
-    return float(stats.binomtest(worse, worse + better).pvalue) if worse + better else 1.0
+    return float(binomtest(worse, worse + better).pvalue) if worse + better else 1.0
 
 
 def speed_ratio(a: pd.DataFrame | None, b: pd.DataFrame | None) -> dict[tuple[str, str], float]:

@@ -1,15 +1,18 @@
 """A process of its own for what may die or hang: plug-ins, and tasks of a worker that did not come back.
 
-What is called survives pickling; the process is started anew after each call that did not return."""
+What is called survives pickling; the process is started anew after each call that did not return, and kept for the next
+one who needs it."""
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from ..estimators.interface import Status
@@ -59,6 +62,29 @@ class Isolation:
             for process in list((getattr(pool, "_processes", None) or {}).values()):
                 process.kill()
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+_idle: list[Isolation] = []
+
+
+@contextmanager
+def isolation(timeout: float) -> Iterator[Isolation]:
+    """An idle process, or a new one, for the time of the context. timeout: seconds a call may take."""
+    process = _idle.pop() if _idle else Isolation(timeout)
+    process.timeout = timeout
+    try:
+        yield process
+    except BaseException:
+        process.end()
+        raise
+    if not process.ended:
+        _idle.append(process)
+
+
+@atexit.register
+def _end_all() -> None:
+    for process in _idle:
+        process.end()
 
 
 def _ready() -> None:

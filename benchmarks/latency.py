@@ -15,7 +15,7 @@ import pandas as pd
 from ..estimators.registry import estimators, load_file
 from ..scenarios.randomness import Streams
 from .drive import prepare
-from .isolation import Ended, Isolation
+from .isolation import Ended, Isolation, isolation
 from .plan import Cell, Plan, own
 from .store import TIMING
 
@@ -25,11 +25,8 @@ WARM_UP, STEPS, SECONDS = 5, 400, 0.15
 def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float) -> pd.DataFrame:
     """One line per cell and estimator, columns `TIMING`; NaN for estimators that cannot be designed, and for plug-ins
     that die or take longer than `timeout` seconds."""
-    process = Isolation(timeout)
-    try:
+    with isolation(timeout) as process:
         return pd.DataFrame(list(_lines(plan, rows, process)), columns=list(TIMING))
-    finally:
-        process.close()
 
 
 def _lines(plan: Plan, rows: pd.DataFrame, process: Isolation) -> Iterator[dict[str, Any]]:

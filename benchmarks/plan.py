@@ -132,6 +132,14 @@ def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenari
     return scenario, tuple(name for name in scenario.variants if name not in scenario.requested)
 
 
+def located(name: str) -> str:
+    """A scenario's name, or a file's path (with its variant) as it is from any folder."""
+    base, _, variant = name.rpartition("/")
+    if base.endswith(".toml"):
+        return f"{Path(base).resolve()}/{variant}"
+    return str(Path(name).resolve()) if name.endswith(".toml") else name
+
+
 def find_one(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
     """A scenario and one variant: the one named, else the default one. Raises InputError if it is unfit."""
     scenario, variant = _named(name, overrides)

@@ -9,7 +9,7 @@ import hashlib
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from queue import Empty, Queue
 from threading import Thread
@@ -17,7 +17,7 @@ from typing import Any
 
 from ..scenarios.errors import InputError
 from .execute import Result, execute, failed_rows
-from .isolation import Ended, Isolation
+from .isolation import Ended, Isolation, isolation
 from .plan import Plan, Task, make_tasks, own
 from .store import Store
 
@@ -123,7 +123,6 @@ def _isolated(tasks: Iterable[Task], machinery: Machinery) -> Iterator[Result]:
     waiting = Queue[Task]()
     for task in tasks:
         waiting.put(task)
-    processes = [Isolation(machinery.timeout) for _ in range(max(1, min(machinery.jobs, waiting.qsize())))]
 
     def work(process: Isolation) -> None:
         try:
@@ -134,13 +133,11 @@ def _isolated(tasks: Iterable[Task], machinery: Machinery) -> Iterator[Result]:
             found.put(None)
         except BaseException as error:
             found.put(error)
-        finally:
-            process.close()
 
-    for process in processes:
-        Thread(target=work, args=(process,), daemon=True).start()
-    busy = len(processes)
-    try:
+    with ExitStack() as stack:
+        busy = max(1, min(machinery.jobs, waiting.qsize()))
+        for _ in range(busy):
+            Thread(target=work, args=(stack.enter_context(isolation(machinery.timeout)),), daemon=True).start()
         while busy:
             result = found.get()
             if isinstance(result, BaseException):
@@ -149,9 +146,6 @@ def _isolated(tasks: Iterable[Task], machinery: Machinery) -> Iterator[Result]:
                 busy -= 1
             else:
                 yield result
-    finally:
-        for process in processes:
-            process.end()
 
 
 def _narrowed(task: Task, process: Isolation) -> Iterator[Result]:

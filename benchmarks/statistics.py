@@ -10,8 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
-from scipy.special import gammaincinv, ndtr
+from scipy.special import gammaincinv, ndtr, ndtri, stdtrit
 
 Array = NDArray[np.float64]
 
@@ -64,7 +63,7 @@ def finite(values: ArrayLike) -> Array:
 @cache
 def t_quantile(degrees: int, level: float = 1 - ALPHA) -> float:
     """Two-sided Student quantile; infinite without a degree of freedom."""
-    return float(stats.t.ppf(0.5 + level / 2, degrees)) if degrees > 0 else float("inf")
+    return float(stdtrit(degrees, 0.5 + level / 2)) if degrees > 0 else float("inf")
 
 
 def mean_se(values: ArrayLike) -> tuple[float, float]:
@@ -136,7 +135,7 @@ def wilson(successes: int, n: int, level: float = 1 - ALPHA) -> Interval:
     """A share with Wilson's score interval (1927): valid for few runs and for shares near 0 and 1."""
     if not n:
         return Interval(float("nan"), 0.0, 1.0, 0)
-    z = float(stats.norm.ppf(0.5 + level / 2))
+    z = float(ndtri(0.5 + level / 2))
     share = successes / n
     centre = (share + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * float(np.sqrt(share * (1 - share) / n + z * z / (4 * n * n)))
@@ -160,11 +159,13 @@ def wilcoxon(differences: ArrayLike) -> float:
     """Two-sided p of Wilcoxon's signed-rank test, zeros ranked and dropped (Pratt), ties given mean ranks.
 
     Exact for up to 50 differences without zeros or ties, otherwise normal with tie correction. 1 where all are 0."""
+    from scipy.stats import rankdata  # scipy.stats takes half a second to import, which most commands can do without
+
     d = finite(differences)
     if d.size < 2 or not d.any():
         return 1.0
     n = d.size
-    ranks = stats.rankdata(np.abs(d))
+    ranks = rankdata(np.abs(d))
     zeros = int((d == 0).sum())
     counts = np.unique(ranks[d != 0], return_counts=True)[1]
     above = float(ranks[d > 0].sum())
@@ -222,12 +223,14 @@ def friedman(errors: Array) -> Ranks:
     estimators are told apart where Wilcoxon's test of log(error ratio), Holm-corrected over all pairs, says so and the
     median ratio differs from 1 by RESOLUTION or more. Cliques are the maximal stretches of neighbouring ranks without
     a pair told apart, members in order of rank."""
+    from scipy.stats import friedmanchisquare, rankdata
+
     use = errors[np.isfinite(errors).all(axis=1)]
     count = errors.shape[1]
     if use.shape[0] < 2 or count < 2:
         return Ranks(np.full(count, np.nan), float("nan"), [], use.shape[0])
-    mean = stats.rankdata(use, axis=1).mean(axis=0)
-    p = float(stats.friedmanchisquare(*use.T).pvalue) if count > 2 else float("nan")
+    mean = rankdata(use, axis=1).mean(axis=0)
+    p = float(friedmanchisquare(*use.T).pvalue) if count > 2 else float("nan")
     logs = np.log(np.maximum(use, np.finfo(float).tiny))
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
     gaps = [logs[:, i] - logs[:, j] for i, j in pairs]

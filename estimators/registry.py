@@ -45,7 +45,9 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
     file = Path(path).resolve()
     if not file.is_file():
         raise InputError(f"{path}: no such file; --plugin takes a Python file with an Estimator class")
-    module_name = f"railstate_plugin_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"
+    # by content too: what was changed in the meantime is another module
+    digest = hashlib.sha256(str(file).encode() + file.read_bytes()).hexdigest()
+    module_name = f"railstate_plugin_{digest[:12]}"
     module = sys.modules.get(module_name)
     if module is None:
         spec = importlib.util.spec_from_file_location(module_name, file)

@@ -125,6 +125,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
             continue
         for key, value in (overrides or {}).items():
             merged = set_dotted(merged, key, value)
+        merged = _located(merged, Path.cwd())
         found = validate(merged, where)
         if found and overrides and not validate(plain, where):
             unfit[variant] = found
@@ -221,7 +222,7 @@ def _located(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     kind = settings().get(str(plant.get("kind"))) if isinstance(plant, dict) else None
     if kind is None or not isinstance(plant, dict):
         return table
-    named = {key: str(folder / plant[key]) for key in kind.user_files if isinstance(plant.get(key), str)}
+    named = {key: str((folder / plant[key]).resolve()) for key in kind.user_files if isinstance(plant.get(key), str)}
     return {**table, "plant": {**plant, **named}}
 
 

@@ -9,7 +9,8 @@ import typer
 
 from ...estimators.registry import estimator_class, load_file
 from ..conformance import Finding, Report
-from ..isolation import Ended, Isolation
+from ..isolation import Ended, isolation
+from ..plan import located
 from .options import overrides
 
 
@@ -27,19 +28,18 @@ def check(
     is_file = name.endswith(".py") or Path(name).is_file()
     classes = load_file(name) if is_file else {name: estimator_class(name, "check")}
     given = overrides(parameter or [], "--parameter", "gain=0.5")
-    process, broken = Isolation(timeout), 0
-    try:
+    broken = 0
+    with isolation(timeout) as process:
         for plugin, cls in classes.items():
             report = (conformance(cls, plugin, given, scenario) if cls.__module__.startswith("railstate.") else
-                      process.call(_check, name if is_file else "", plugin, given, scenario))
+                      process.call(_check, str(Path(name).resolve()) if is_file else "", plugin, given,
+                                   located(scenario)))
             if isinstance(report, Ended):
                 report = Report({}, {}, [Finding("runs", "some case", "design, start, predict, update and estimate "
                                                  "come back", report.reason, "see what it does to its process, or "
                                                  "for how long it may go on")])
             _print(plugin, report)
             broken += len(report.findings)
-    finally:
-        process.end()
     if broken:
         raise typer.Exit(1)
 
