@@ -137,6 +137,7 @@ class RandomAccess(Base):
                              f"{ny}: each element 0 .. {ny - 1} must belong to a node, no others")
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
+        self.check(ny)
         edges = np.cumsum(self.p)[:-1]
         chosen = np.searchsorted(edges, random.uniform(0.0, 1.0, steps), side="right")
         received = np.zeros((steps, ny, len(random.runs)), dtype=bool)
