@@ -17,6 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -115,23 +116,17 @@ class Store:
         return found
 
     def rows(self) -> pd.DataFrame:
-        """All rows, sorted by scenario and variant (in the manifest's order), estimator, run. Raises InputError."""
-        import pandas as pd
-
+        """All rows, sorted by scenario, variant, estimator (in the manifest's order) and run. Raises InputError."""
         manifest = self.manifest()
         table = self._read("rows")
         if table is None:
             raise InputError(f"{self.folder}: holds no finished rows yet; continue it with: {manifest['command']}")
         frame = table.to_pandas()
-        order = {key: n for n, key in enumerate(manifest["configuration"]["cells"])}
-        cell = (frame["scenario"] + "/" + frame["variant"]).map(order)
-        labels = {(key, label): n for key, value in manifest["configuration"]["cells"].items()
-                  for n, label in enumerate(value["estimators"])}
-        place = pd.Series([labels.get(item, 0) for item in
-                           zip(frame["scenario"] + "/" + frame["variant"], frame["estimator"], strict=True)])
-        frame = frame.assign(_cell=cell.to_numpy(), _place=place.to_numpy())
-        frame = frame.sort_values(["_cell", "_place", "run"], kind="stable").drop(columns=["_cell", "_place"])
-        return frame.reset_index(drop=True)
+        places = [f"{cell}/{label}" for cell, value in manifest["configuration"]["cells"].items()
+                  for label in value["estimators"]]
+        place = (frame["scenario"] + "/" + frame["variant"] + "/" + frame["estimator"]).map(
+            {key: n for n, key in enumerate(places)})
+        return frame.iloc[np.lexsort((frame["run"], place))].reset_index(drop=True)
 
     def curves(self) -> pd.DataFrame:
         """Sums over all runs per scenario, variant, estimator, quantity and step (empty if there are none)."""

@@ -32,7 +32,7 @@ def scored(runs: slice, mean: np.ndarray, covariance: np.ndarray):
     for k in range(STEPS):
         step = Step(np.zeros((0, 1)), (), truth[k][:, runs], active[k][runs])
         scorer.add(k, Estimate(mean[k][:, runs], covariance=covariance[k][:, :, runs]), step)
-    return scorer.finish(np.zeros(len(range(33)[runs]), dtype=np.int8), "")
+    return scorer.finish(np.zeros(len(range(33)[runs]), dtype=np.int8), {})
 
 
 def test_metrics_equal_a_naive_loop() -> None:
@@ -46,7 +46,8 @@ def test_metrics_equal_a_naive_loop() -> None:
         expected = {
             ("rmse", "position"): np.sqrt(np.mean(error[:, :2] ** 2)), ("mae", "position"): np.mean(abs(error[:, :2])),
             ("max", "position"): abs(error[:, :2]).max(), ("rmse", "speed"): np.sqrt(np.mean((3.6 * error[:, 2]) ** 2)),
-            ("final", "speed"): abs(3.6 * error[-1, 2]), ("nees", "state"): nees,
+            ("final", "speed"): abs(3.6 * error[-1, 2]),
+            ("final", "position"): np.sqrt(np.mean(error[-1, :2] ** 2)), ("nees", "state"): nees,
             ("sum-squared", "weighted"): np.sum((0.5 * error[:, 0]) ** 2 + (2 * error[:, 2]) ** 2)}
         for key, value in expected.items():
             assert found.metrics[key][s] == pytest.approx(value, rel=1e-10), key
