@@ -17,7 +17,7 @@ from railstate.benchmarks.commands.report import report
 from railstate.benchmarks.figures.data import Results, load_results
 from railstate.benchmarks.paragraphs import paragraph
 from railstate.benchmarks.report import write_report
-from railstate.benchmarks.report.table import Entry, failures, table
+from railstate.benchmarks.report.table import Entry, contest_table, failures, table
 from railstate.benchmarks.store import Store
 from railstate.scenarios.errors import InputError
 from scipy import stats
@@ -135,6 +135,13 @@ def test_headlines_say_where_the_robust_estimator_wins_and_where_not(results: Re
     assert re.search(r"better in 1 of 3 variants \(constant −(19|20|21) % \[−\d+, −\d+\], 100 % of runs\), "
                      r"worse in 2 \(switching \+\d+ %, white \+\d+ %\)$", line)
     assert not [text for text in lines if "ukf" in text]
+    duels = contest_table(verdicts.robust_contests(results.rows, results.manifest, "ningbo-metro"))
+    assert [head for head, _ in duels.heads] == ["better in", "switching", "white", "constant"]
+    assert len(duels.lines) == 12
+    entries = next(line.entries for line in duels.lines
+                   if (line.label, line.note) == ("robust-mean-square", "position, against ekf"))
+    assert [entry.kind for entry in entries] == ["", "bad", "bad", "good"] and entries[0].text == "1 of 3"
+    assert entries[3].text in line and entries[3].detail == "better, wins 100 %"
 
 
 def test_paragraphs_in_plain_words(results: Results) -> None:

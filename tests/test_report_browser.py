@@ -71,7 +71,7 @@ def test_no_console_message_and_no_request_leaves_the_page(browser: Any, folder:
 
 
 COLUMN = """
-const table = document.querySelector('#ningbo-metro table.sortable');
+const table = document.querySelector('#ningbo-metro .variant table.sortable');
 const head = table.tHead.rows[0].cells[arguments[0]];
 if (arguments[1]) head.querySelector('button').click();
 return [head.getAttribute('aria-sort'), [...table.tBodies[0].rows].map(
@@ -103,7 +103,8 @@ def test_tables_sort_by_keyboard(browser: Any, folder: Path) -> None:
     from selenium.webdriver.common.keys import Keys
 
     visit(browser, folder, 1600)
-    browser.find_element("css selector", "#ningbo-metro table.sortable th:nth-child(2) button").send_keys(Keys.ENTER)
+    head = "#ningbo-metro .variant table.sortable th:nth-child(2) button"
+    browser.find_element("css selector", head).send_keys(Keys.ENTER)
     assert browser.execute_script(COLUMN, 1, False)[0] == "ascending"
 
 

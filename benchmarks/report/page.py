@@ -20,9 +20,9 @@ from ..figures.catalogue import FIGURES, Figure, of_scenario
 from ..figures.data import Cell, Results, load_results
 from ..paragraphs import paragraph
 from ..store import Store
-from ..verdicts import contest_words, robust_contests
+from ..verdicts import robust_contests
 from ..wording import counted, notes_of
-from .table import Failure, Table, failures, table
+from .table import Failure, Table, contest_table, failures, table
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,13 @@ class Variant:
 
 @dataclass(frozen=True)
 class Section:
-    """What the page shows of one scenario. headline: each robust estimator with its results against Kalman filters,
-    (rival, quantity, result)."""
+    """What the page shows of one scenario. headline: its robust estimators against its Kalman filters."""
 
     name: str
     title: str
     source: str
     words: list[str]
-    headline: list[tuple[str, list[tuple[str, str, str]]]]
+    headline: Table
     figures: list[Drawn]
     variants: list[Variant]
     missing: str
@@ -124,12 +123,11 @@ def section(results: Results, name: str, cells: Sequence[Cell]) -> Section:
     for figure in FIGURES:
         for variant, canvas in of_scenario(figure, cells):
             (by_variant[variant] if variant else whole).append(_drawn(figure, canvas))
-    headline = [(challenger, [(rival, quantity, contest_words(found)) for (rival, quantity), found in contests.items()])
-                for challenger, contests in robust_contests(results.rows, results.manifest, name).items()]
     about = cells[0].about
     kept = any(cell.kept for cell in cells)
     return Section(
-        name, about["title"], about["source"], paragraph(results.rows, results.manifest, name), headline, whole,
+        name, about["title"], about["source"], paragraph(results.rows, results.manifest, name),
+        contest_table(robust_contests(results.rows, results.manifest, name)), whole,
         [Variant(cell.variant, about["variants"][cell.variant]["title"], notes_of(about["variants"][cell.variant]),
                  cell.runs, table(cell), failures(cell, str(results.folder)), by_variant[cell.variant])
          for cell in cells],

@@ -4,7 +4,7 @@ Cells carry a sorting value beside their text; a cell without a claim says why i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ import pandas as pd
 from .. import statistics as st
 from ..figures.data import Cell
 from ..summary import metric_columns
-from ..verdicts import Judged, bound_check, column_values, nees_states
+from ..verdicts import Contest, Judged, bound_check, column_values, nees_states
 from ..wording import change_interval, counted, metric_name, number, percent, plus_minus, rough
 
 
@@ -74,6 +74,26 @@ def table(cell: Cell) -> Table:
     lines = [Line(label, "oracle" if label in cell.oracles else "", [make(label, part) for _, make in columns])
              for label, part in parts.items()]
     return Table([head for head, _ in columns], lines)
+
+
+def contest_table(challengers: Mapping[str, Mapping[tuple[str, str], Sequence[Contest]]]) -> Table:
+    """Challengers against rivals, a line per challenger, quantity and rival, a column per variant."""
+    contests = [(challenger, f"{quantity}, against {rival}", {contest.variant: contest for contest in found})
+                for challenger, table in challengers.items() for (rival, quantity), found in table.items()]
+    variants = list(dict.fromkeys(variant for _, _, found in contests for variant in found))
+    lines: list[Line] = []
+    for challenger, note, found in contests:
+        better = sum(contest.verdict == "better" for contest in found.values())
+        lines.append(Line(challenger, note, [Entry(f"{better} of {len(found)}", "", better),
+                                             *(_contest(found.get(variant)) for variant in variants)]))
+    return Table([("better in", "variants"), *((variant, "") for variant in variants)], lines)
+
+
+def _contest(contest: Contest | None) -> Entry:
+    if contest is None:
+        return Entry("no runs of both", kind="none")
+    return Entry(change_interval(contest.found), f"{contest.verdict}, wins {percent(contest.found.won)}",
+                 contest.found.relative, {"better": "good", "worse": "bad"}.get(contest.verdict, ""))
 
 
 def _outcomes(cell: Cell) -> list[tuple[str, str, str, str]]:
