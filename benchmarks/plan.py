@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from ..estimators.interface import Estimator
 from ..estimators.registry import estimator_class, estimators, load_file, source_hash
-from ..scenarios.errors import InputError
-from ..scenarios.files import DISPLAY, Scenario, describe, load
+from ..scenarios.errors import InputError, describe
+from ..scenarios.files import DISPLAY, Scenario, load
 from ..scenarios.registry import scenario_files, settings
 from ..scenarios.schema import EstimatorEntry
 from ..scenarios.setting import Setting
@@ -202,9 +202,7 @@ def checked_parameters(cls: type[Estimator], given: Mapping[str, Any], where: st
         found = cls.Parameters.model_validate(dict(given), context={"folder": folder})
         return found.model_dump(mode="json", exclude_unset=True)
     except ValidationError as error:
-        allowed = ", ".join(cls.Parameters.model_fields) or "none"
-        raise InputError("\n".join(f"{where}.{line.removeprefix('.')}; allowed: {allowed}"
-                                   for line in describe(error))) from None
+        raise InputError("\n".join(describe(error, cls.Parameters, where))) from None
 
 
 def own(cell: Cell, label: str) -> bool:

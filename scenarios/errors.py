@@ -1,8 +1,15 @@
-"""The errors a user can meet, each with one clear message.
+"""The errors a user can meet, each with one clear message, and pydantic's findings in such words.
 
 They live in the lowest layer because scenario files, plug-ins and results folders all raise them."""
 
 from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterator, Mapping
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 
 class InputError(Exception):
@@ -17,3 +24,57 @@ class Infeasible(Exception):
 
 class Unsupported(Infeasible):
     """An estimator cannot work with this design model: the message says what it needs and the model lacks."""
+
+
+def describe(error: ValidationError, model: type[BaseModel], prefix: str = "",
+             table: Mapping[str, Any] | None = None) -> list[str]:
+    """The errors of validating a `model` as lines `dotted.path: message (got ..)`, an unknown key with those allowed.
+
+    table: what was validated, for paths as its file has them."""
+    lines = []
+    for item in error.errors(include_url=False):
+        path = ".".join([*([prefix] if prefix else []), *_keys(item["loc"], table)])
+        got = item["input"]
+        message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
+        message = message.removeprefix("Value error, ")
+        told = item["type"] == "missing" or isinstance(got, dict) or (isinstance(got, str) and got in message)
+        shown = "" if told else f" (got {reprlib.repr(got)})"
+        allowed = f"; allowed: {_allowed(model, item['loc'])}" if item["type"] == "extra_forbidden" else ""
+        lines.append((f"{path}: " if path else "") + message + shown + allowed)
+    return lines
+
+
+def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
+    """The keys of an error's place, without what pydantic adds for one of several allowed types or kinds of table."""
+    for part in loc:
+        if isinstance(table, dict):
+            if table.get("kind") == part and part not in table:
+                continue
+            table = table.get(part)
+        elif table is not None and isinstance(part, str):
+            continue
+        else:
+            table = None
+        yield str(part)
+
+
+def _allowed(model: type[BaseModel], loc: tuple[int | str, ...]) -> str:
+    """The keys of the table in which `loc` lies."""
+    tables = [model]
+    for part in loc[:-1]:
+        fields = [table.model_fields[str(part)] for table in tables if part in table.model_fields]
+        inside = [inner for field in fields for inner in _models(field.annotation)]
+        chosen = [table for table in tables if part in (table.__name__, *_kinds(table.model_fields.get("kind")))]
+        tables = inside or chosen or tables
+    return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields)) or "none"
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The tables in a type such as `dict[str, A | B]`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models(inner)]
+
+
+def _kinds(field: FieldInfo | None) -> tuple[Any, ...]:
+    return get_args(field.annotation) if field else ()

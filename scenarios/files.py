@@ -8,16 +8,15 @@ import difflib
 import hashlib
 import json
 import re
-import reprlib
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from .errors import InputError
+from .errors import InputError, describe
 from .registry import scenario_files, setting_for, settings
 from .schema import LABEL
 from .setting import Setting
@@ -156,7 +155,7 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
     try:
         setting = kind(kind.Config.model_validate(table))
     except ValidationError as error:
-        return describe(error, table=table)
+        return describe(error, kind.Config, table=table)
     known = [item.name for item in setting.quantities()]
     mistakes = [f"score.divergence.{name}: no such quantity; allowed: {', '.join(known)}"
                 for name in setting.config.score.divergence if name not in known]
@@ -164,7 +163,7 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
         try:
             setting.resolve_knowledge(entry.knowledge)
         except ValidationError as error:
-            mistakes += describe(error, f"estimators.{label}.knowledge")
+            mistakes += describe(error, type(setting.config.knowledge), f"estimators.{label}.knowledge")
     return mistakes
 
 
@@ -174,34 +173,6 @@ def _strays(variants: Collection[dict[str, Any]], where: str) -> list[str]:
     paths = {(key, path): None for config in configs for key in ("origin", "fitted") for path in getattr(config, key)}
     return [f"{key}.{path}: names no key of this scenario" for key, path in paths
             if not any(_names_a_key(path, config) for config in configs)]
-
-
-def describe(error: ValidationError, prefix: str = "", table: Mapping[str, Any] | None = None) -> list[str]:
-    """pydantic's errors as lines `dotted.path: message (got ..)`, the path as the file's `table` has it."""
-    lines = []
-    for item in error.errors(include_url=False):
-        path = ".".join([*([prefix] if prefix else []), *_keys(item["loc"], table)])
-        got = item["input"]
-        message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
-        message = message.removeprefix("Value error, ")
-        told = item["type"] == "missing" or isinstance(got, dict) or (isinstance(got, str) and got in message)
-        shown = "" if told else f" (got {reprlib.repr(got)})"
-        lines.append(f"{path}: {message}{shown}" if path else f"{message}{shown}")
-    return lines
-
-
-def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
-    """The keys of an error's place, without what pydantic adds for one of several allowed types or kinds of table."""
-    for part in loc:
-        if isinstance(table, dict):
-            if table.get("kind") == part and part not in table:
-                continue
-            table = table.get(part)
-        elif table is not None and isinstance(part, str):
-            continue
-        else:
-            table = None
-        yield str(part)
 
 
 def _names_a_key(path: str, config: Any) -> bool:

@@ -15,7 +15,10 @@ BAD = {
     "not-toml": ("name = ", "not valid TOML"),
     "empty": ("", "is empty"),
     "wrong-type": (SCENARIO.replace("steps = 40", 'steps = "many"'), "time.steps"),
-    "unknown-key": (SCENARIO.replace("period = 1.0", "period = 1.0\nperoid = 2"), "time.peroid: unknown key"),
+    "unknown-key": (SCENARIO.replace("period = 1.0", "period = 1.0\nperoid = 2"),
+                    "time.peroid: unknown key (got 2); allowed: period, steps"),
+    "unknown-channel-key": (SCENARIO.replace("p = 0.8", "p = 0.8\nq = 1"),
+                            "channel.q: unknown key (got 1); allowed: kind, p"),
     "negative-period": (SCENARIO.replace("period = 1.0", "period = -1.0"), "time.period"),
     "negative-variance": (SCENARIO.replace("R = [[1]]", "R = [[-1]]"), "plant.R"),
     "missing": (SCENARIO.replace("R = [[1]]\n", ""), "plant.R: missing"),
@@ -109,6 +112,22 @@ def test_list_show_schema(railstate: Command) -> None:
     assert estimator.code == 0 and "points" in estimator.out and "claims: mean, covariance" in estimator.out
     schema = json.loads(railstate("schema").out)
     assert {"$ref": "#/$defs/metro"} in schema["anyOf"]
+
+
+@pytest.mark.parametrize("name", sorted(scenario_files()))
+def test_every_number_of_a_built_in_scenario_has_its_origin(name: str, railstate: Command) -> None:
+    scenario = load(name)
+    for variant in scenario.variants:
+        lines = iter(railstate("show", f"{name}/{variant}").out.splitlines())
+        header = next(line for line in lines if line.split() == ["key", "value", "origin"])
+        value_at, origin_at = header.index("value"), header.index("origin")
+        next(lines)  # the rule under the header
+        for line in lines:
+            if not line.strip():
+                break
+            key, value, origin = line[:value_at].strip(), line[value_at:origin_at], line[origin_at:].strip()
+            if key and not key.startswith("score.") and any(letter.isdigit() for letter in value):
+                assert origin, f"{name}/{variant}: {key} = {value}"
 
 
 def test_merge_replaces_a_table_of_another_kind() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import pandas as pd
@@ -46,7 +47,7 @@ def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a T
         print(f"note: {note}")
     for key in config.fitted:
         print(f"fitted: {key}")
-    rows = [{"key": key, "value": json.dumps(value), "origin": config.origin.get(key, "")}
+    rows = [{"key": key, "value": json.dumps(value), "origin": _origin(key, config.origin)}
             for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
                                                                "estimators"}))]
     print_table("", pd.DataFrame(rows))
@@ -84,6 +85,13 @@ def _show_estimator(name: str, cls: type[Estimator]) -> None:
         print_table("Parameters", pd.DataFrame(fields))
     else:
         print("no parameters")
+
+
+def _origin(key: str, origins: Mapping[str, str]) -> str:
+    """What [origin] says of a key, or else of the table it stands in."""
+    while key and key not in origins:
+        key = key.rpartition(".")[0]
+    return origins.get(key, "")
 
 
 def _flat(table: dict[str, Any], path: str = "") -> list[tuple[str, Any]]:

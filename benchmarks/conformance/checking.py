@@ -9,8 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ...estimators.interface import Estimator
-from ...scenarios.errors import Infeasible, InputError
-from ...scenarios.files import describe
+from ...scenarios.errors import Infeasible, InputError, describe
 from ...scenarios.model import DesignModel
 from .rules import RULES
 from .tapes import scenario_case, small_case
@@ -44,7 +43,7 @@ def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scen
         cls.Parameters.model_validate(dict(parameters))
     except ValidationError as error:
         # what is missing a scenario may give
-        wrong = [line for line in describe(error, "parameters") if not line.endswith(": missing")]
+        wrong = [line for line in describe(error, cls.Parameters, "parameters") if not line.endswith(": missing")]
         if wrong:
             raise InputError("\n".join(wrong)) from None
     report = Report({}, {}, [])
@@ -69,7 +68,7 @@ def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scen
             report.left_out[case.name] = str(error)
             continue
         except ValidationError as error:
-            report.left_out[case.name] = "; ".join(describe(error, "parameters"))
+            report.left_out[case.name] = "; ".join(describe(error, cls.Parameters, "parameters"))
             continue
         except Exception as error:
             report.findings.append(Finding("runs", case.name, "design, start, predict, update and estimate do their "

@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 from pydantic import ValidationError, field_validator
 
-from ...scenarios.errors import InputError
-from ...scenarios.files import describe
+from ...scenarios.errors import InputError, describe
 from ...scenarios.schema import Strict
 from ..plan import Cell as PlanCell
 from ..plan import Plan, make_plan
@@ -105,7 +104,7 @@ def read(path: Path) -> Paper:
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path.name}: not valid TOML: {error}") from None
     except ValidationError as error:
-        raise InputError("\n".join(f"{path.name}: {line}" for line in describe(error))) from None
+        raise InputError("\n".join(f"{path.name}: {line}" for line in describe(error, _File))) from None
     cells: list[Published] = []
     mistakes: list[str] = []
     for item in book.items:
@@ -115,7 +114,7 @@ def read(path: Path) -> Paper:
                 try:
                     cells.append(Published.model_validate(cell))
                 except ValidationError as error:
-                    mistakes += describe(error, f"{cell.get('item')}: {cell.get('cell')}")
+                    mistakes += describe(error, Published, f"{cell.get('item')}: {cell.get('cell')}")
     if mistakes:
         raise InputError("\n".join(f"{path.name}: {line}" for line in mistakes))
     return Paper(path.stem, book.title, tuple(cells))
