@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from railstate.benchmarks.batch import Store
+from railstate.benchmarks.figures.canvas import LIGHT
 from railstate.benchmarks.store import TIMING
 from railstate.benchmarks.summary import COLUMNS as SUMMARY
 
@@ -273,7 +274,8 @@ def test_sweep_writes_rows_table_and_plots(railstate: Command) -> None:
     table = pd.read_csv(railstate.folder / "swept" / "sweep.csv")
     part = table.query("metric == 'rmse' and quantity == 'position' and estimator == 'kalman'").set_index("channel.p")
     assert part.loc[0.3, "mean"] > part.loc[0.9, "mean"]
-    assert (railstate.folder / "swept" / "rmse-position.svg").stat().st_size > 1000
+    drawn = (railstate.folder / "swept" / "rmse-position.svg").read_text()
+    assert LIGHT["c0"] in drawn and LIGHT["c1"] in drawn  # the report's colours, one for each estimator
     assert "rmse position" in done.out
 
 

@@ -16,12 +16,18 @@ import typer
 from ...scenarios.errors import InputError
 from ..batch import complete
 from ..console import print_table
+from ..figures.axes import Style
+from ..figures.canvas import LIGHT
+from ..figures.data import assign_styles
 from ..plan import find_one, make_plan
 from ..runner import Machinery
 from ..store import Store
 from ..summary import summarise
 from ..wording import with_error
 from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, overrides, value, words
+
+_MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "down": "v"}
+"""The report's markers as matplotlib names them."""
 
 
 def sweep(
@@ -62,6 +68,7 @@ def sweep(
         summaries.append(summary)
         reasons[tuple(_plain(item) for item in point.values())] = _reasons(rows)
         shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
+    styles = assign_styles([list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))])
     table = pd.concat(summaries, ignore_index=True)
     Store(folder).write_text("sweep.csv", table.to_csv(index=False))
     plots = 0
@@ -71,7 +78,7 @@ def sweep(
             unit = part["unit"].iloc[0]
             print_table(f"{name}: {' '.join(pair)}" + ("" if unit == "1" else f" [{unit}]"),
                         _grid(part, list(axes), reasons))
-            plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit) if len(axes) == 1 else 0
+            plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit, styles) if len(axes) == 1 else 0
     print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
 
 
@@ -116,26 +123,28 @@ def _reasons(rows: pd.DataFrame) -> dict[str, str]:
     return out
 
 
-def _plot(folder: Path, part: pd.DataFrame, key: str, label: str, unit: str) -> int:
-    """Each estimator's mean with its 95 % interval against the swept value."""
+def _plot(folder: Path, part: pd.DataFrame, key: str, label: str, unit: str, styles: dict[str, Style]) -> int:
+    """Each estimator's mean with its 95 % interval against the swept value, in the colours of the report."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(5, 3.2), layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(6.5, 3.4), layout="constrained")
     numeric = pd.to_numeric(part[key], errors="coerce").notna().all()
     for estimator, mine in part.groupby("estimator", sort=False):
         x = pd.to_numeric(mine[key]) if numeric else mine[key].astype(str)
-        line, = axes.plot(x, mine["mean"], marker="o", markersize=3, label=estimator)
+        style = styles[str(estimator)]
+        axes.plot(x, mine["mean"], color=LIGHT[style.colour], linestyle=(0, style.dash) if style.dash else "solid",
+                  marker=_MARKERS[style.marker], markersize=3.5, linewidth=1.2, label=estimator)
         low, high = (mine["mean"] + sign * 1.96 * mine["standard_error"] for sign in (-1, 1))
-        axes.fill_between(x, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+        axes.fill_between(x, low, high, color=LIGHT[style.colour], alpha=0.2, linewidth=0)
     if part["mean"].min() > 0 and part["mean"].max() / part["mean"].min() > 30:
         axes.set_yscale("log")
     axes.set_xlabel(key)
     axes.set_ylabel(label + ("" if unit == "1" else f" [{unit}]"))
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7, frameon=False)
+    figure.legend(loc="outside right upper", fontsize=7, frameon=False, handlelength=3)
     for suffix in ("svg", "png"):
         figure.savefig(folder / f"{label.replace(' ', '-')}.{suffix}", dpi=150)
     pyplot.close(figure)
