@@ -68,7 +68,8 @@ def sweep(
         summaries.append(summary)
         reasons[tuple(_plain(item) for item in point.values())] = _reasons(rows)
         shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
-    styles = assign_styles([list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))])
+    names = list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))
+    styles = assign_styles([names])
     table = pd.concat(summaries, ignore_index=True)
     Store(folder).write_text("sweep.csv", table.to_csv(index=False))
     plots = 0
@@ -77,7 +78,7 @@ def sweep(
         if not part.empty:
             unit = part["unit"].iloc[0]
             print_table(f"{name}: {' '.join(pair)}" + ("" if unit == "1" else f" [{unit}]"),
-                        _grid(part, list(axes), reasons))
+                        _grid(part, list(axes), names, reasons))
             plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit, styles) if len(axes) == 1 else 0
     print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
 
@@ -91,9 +92,9 @@ def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:
     return [(a, b) for a, _, b in (item.partition(":") for item in words(metric))]
 
 
-def _grid(part: pd.DataFrame, keys: list[str], reasons: dict[tuple[str, ...], dict[str, str]]) -> pd.DataFrame:
+def _grid(part: pd.DataFrame, keys: list[str], names: list[str],
+          reasons: dict[tuple[str, ...], dict[str, str]]) -> pd.DataFrame:
     """A line per swept point, a column per estimator: mean and standard error, or why there is no number."""
-    names = list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))
     found = {(tuple(line[key] for key in keys), line["estimator"]):
              with_error(line["mean"], line["standard_error"]) for line in part.to_dict("records")}
     return pd.DataFrame([
