@@ -12,7 +12,6 @@ from typing import Annotated
 import typer
 
 from ..scenarios.errors import InputError
-from .batch import Interrupted
 from .commands.check import check
 from .commands.compare import compare
 from .commands.design import certify, design
@@ -24,6 +23,7 @@ from .commands.run import run
 from .commands.show import list_, schema, show
 from .commands.sweep import sweep
 from .commands.timing import timing
+from .studies.complete import Interrupted
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,

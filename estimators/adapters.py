@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scenarios.arrays import Array, Mask
 from ..scenarios.errors import Unsupported
 from ..scenarios.model import DesignModel, Portion
 from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Estimator, Mask, Status, flag
+from .interface import Estimate, Estimator, Status, flag
 
 Indices = NDArray[np.intp]
 

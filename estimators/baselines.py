@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..scenarios.arrays import Array, Mask
 from ..scenarios.errors import Unsupported
 from ..scenarios.model import DesignModel, Portion, product
 from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Estimator, Mask
+from .interface import Estimate, Estimator
 
 
 class Direct(Estimator):

@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from ..scenarios.arrays import Array, Mask
 from ..scenarios.errors import Unsupported
 from ..scenarios.model import DesignModel, Portion
 from ..scenarios.randomness import RunRandom
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class Status(IntEnum):

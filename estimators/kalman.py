@@ -8,13 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..scenarios.arrays import Array, Mask
 from ..scenarios.model import DesignModel, Portion
 from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Estimator, Mask, Status, flag
-from .kernels import congruence
-from .kernels_kalman import kalman_update, shared_kalman_update
+from .interface import Estimate, Estimator, Status, flag
+from .kernels.core import congruence
+from .kernels.kalman import kalman_update, shared_kalman_update
 
-LOST = "an innovation covariance was not positive definite"
+SINGULAR_INNOVATION = "an innovation covariance was not positive definite"
 
 
 class ExtendedKalman(Estimator):
@@ -60,7 +61,7 @@ class ExtendedKalman(Estimator):
             shared = False
         step = shared_kalman_update if shared else kalman_update
         if step(x, self._covariance, y, predicted, received, h, r, self._failed):
-            flag(self, self._failed, Status.failed, LOST)
+            flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

@@ -7,10 +7,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...scenarios.errors import Unsupported
+from ..scenarios.arrays import Array, Index
+from ..scenarios.errors import Unsupported
+from ..scenarios.model import Modes
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+VARIANCE_FLOOR = 1e-18  # variance added to claims: a particle cloud of one value may claim less than rounding errors
+
+
+def known_states(modes: Modes, initial_covariance: Array) -> NDArray[np.bool_]:
+    """States that are known exactly: no initial variance, no process noise, the same rule in every mode, driven by
+    each other and the input alone. Shape (nx,)."""
+    known = (np.diag(initial_covariance) == 0) & (np.abs(modes.Q).sum(axis=1) == 0)
+    known &= (np.ptp(modes.A, axis=0) == 0).all(axis=1) & (np.ptp(modes.B, axis=0) == 0).all(axis=1)
+    while True:
+        leaning = np.array([np.any(modes.A[0, i, ~known] != 0) for i in range(len(known))])
+        if not (known & leaning).any():
+            return known
+        known &= ~leaning
 
 
 def uniform(m: int) -> Array:

@@ -9,10 +9,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, PositiveInt
 
+from ..scenarios.arrays import Array, Mask
 from ..scenarios.model import DesignModel, Portion
 from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Estimator, Mask, Parameters, Status, flag
-from .kernels import cholesky, factorise, forward, kernel
+from .interface import Estimate, Estimator, Parameters, Status, flag
+from .kernels.core import cholesky, factorise, forward, kernel
 
 
 class BootstrapParticle(Estimator):

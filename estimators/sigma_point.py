@@ -10,13 +10,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..scenarios.arrays import Array, Mask
 from ..scenarios.errors import Infeasible
 from ..scenarios.model import DesignModel, Portion
 from ..scenarios.randomness import RunRandom
-from .interface import Array, Estimate, Estimator, Mask, Parameters, Status, flag
-from .kernels_unscented import sigma_points, unscented_predict, unscented_update
+from .interface import Estimate, Estimator, Parameters, Status, flag
+from .kernels.unscented import sigma_points, unscented_predict, unscented_update
 
-LOST = "a covariance was not positive definite"
+NOT_DEFINITE = "a covariance was not positive definite"
 Weights = tuple[Array, Array, float]
 """Mean weights (m,), covariance weights (m,), and the points' distance from the mean in standard deviations."""
 
@@ -68,7 +69,7 @@ class SigmaPointKalman(Estimator):
         moving = self._all if isinstance(portion, float) else np.flatnonzero(portion)
         if unscented_predict(moved, moving, self._weights_mean, self._weights_covariance, q, self._scale, self.redraw,
                              self._mean, self._covariance, self._points, self._deviations, self._failed):
-            flag(self, self._failed, Status.failed, LOST)
+            flag(self, self._failed, Status.failed, NOT_DEFINITE)
         if not self.redraw:
             self._points, self._unspread = moved, q
         self._k += 1
@@ -80,7 +81,7 @@ class SigmaPointKalman(Estimator):
         if unscented_update(self._mean, self._covariance, self._points, self._deviations, images, self._weights_mean,
                             self._weights_covariance, self._scale, y, received,
                             model.measurement_covariance(self._k), self._unspread, self._failed):
-            flag(self, self._failed, Status.failed, LOST)
+            flag(self, self._failed, Status.failed, NOT_DEFINITE)
         if self._unspread is not self._nothing:
             self._draw()
 
@@ -90,7 +91,7 @@ class SigmaPointKalman(Estimator):
     def _draw(self) -> None:
         """Fresh points of every run from its mean and covariance."""
         if sigma_points(self._mean, self._covariance, self._scale, self._points, self._deviations, self._failed):
-            flag(self, self._failed, Status.failed, LOST)
+            flag(self, self._failed, Status.failed, NOT_DEFINITE)
         self._unspread = self._nothing
 
 

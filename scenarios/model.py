@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import Unsupported
 
-Array = NDArray[np.float64]
 Portion = float | Array
 """A length of time in sampling periods: a number, or one per run (S,). 1.0 is a whole step."""
 

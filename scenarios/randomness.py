@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from .arrays import Array, Mask
 
 
 def generator(seed: int, *names: str | int) -> np.random.Generator:

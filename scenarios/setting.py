@@ -9,15 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from .arrays import Array
 from .model import DesignModel
 from .randomness import Streams
 from .schema import ScenarioConfig
 from .world import World
 
-Array = NDArray[np.float64]
 ConfigT = TypeVar("ConfigT", bound=ScenarioConfig)
 
 

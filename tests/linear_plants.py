@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from railstate.estimators.random_access_bounds import CovarianceBounds
+from railstate.estimators.random_access.bounds import CovarianceBounds
 from railstate.scenarios.files import load
-from railstate.scenarios.linear_system import LinearConfig, LinearSystem
+from railstate.scenarios.linear.config import LinearConfig
+from railstate.scenarios.linear.setting import LinearSystem
 
 
 def plant(nx: int, nodes: list[list[int]], steps: int = 12, seed: int = 0, **channel: Any) -> LinearSystem:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from railstate.benchmarks.store import Store
+from railstate.benchmarks.store.folder import Store
 
 RUNS, STEPS, PERIOD = 24, 60, 0.2
 

@@ -9,8 +9,8 @@ import typer
 
 from ...estimators.registry import estimator_class, load_file
 from ..conformance import Finding, Report
-from ..isolation import Ended, isolation
-from ..plan import located
+from ..planning.naming import located
+from ..running.isolation import Ended, isolation
 from .options import overrides
 
 
@@ -23,7 +23,7 @@ def check(
     timeout: Annotated[float, typer.Option(min=1.0, help="Seconds after which a plug-in counts as hung.")] = 300.0,
 ) -> None:
     """Check that an estimator keeps the rules of the suite; exit code 1 if it does not."""
-    from ..conformance import check as conformance
+    from ..conformance import conform
 
     is_file = name.endswith(".py") or Path(name).is_file()
     classes = load_file(name) if is_file else {name: estimator_class(name, "check")}
@@ -31,7 +31,7 @@ def check(
     broken = 0
     with isolation(timeout) as process:
         for plugin, cls in classes.items():
-            report = (conformance(cls, plugin, given, scenario) if cls.__module__.startswith("railstate.") else
+            report = (conform(cls, plugin, given, scenario) if cls.__module__.startswith("railstate.") else
                       process.call(_check, str(Path(name).resolve()) if is_file else "", plugin, given,
                                    located(scenario)))
             if isinstance(report, Ended):
@@ -46,11 +46,11 @@ def check(
 
 def _check(file: str, plugin: str, parameters: dict[str, Any], scenario: str) -> Report:
     """The check of a plug-in, in whatever process."""
-    from ..conformance import check as conformance
+    from ..conformance import conform
 
     if file:
         load_file(file)
-    return conformance(estimator_class(plugin, "check"), plugin, parameters, scenario)
+    return conform(estimator_class(plugin, "check"), plugin, parameters, scenario)
 
 
 def _print(plugin: str, report: Report) -> None:

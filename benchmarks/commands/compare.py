@@ -16,13 +16,16 @@ from ...estimators.registry import estimators, load_file
 from ...scenarios.errors import InputError, Unsupported
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
-from ..batch import complete, default_folder
-from ..comparison import FINISHED, Changes, Contest, between_estimators, between_folders, speed_ratio, words
-from ..console import print_table
-from ..plan import find, make_plan
-from ..runner import Machinery
-from ..store import Store
-from ..wording import counted, number, percent, rough
+from ..judging.comparison import FINISHED, Changes, between_estimators, between_folders, speed_ratio
+from ..judging.comparison import Comparison as Contest
+from ..planning.naming import find
+from ..planning.plan import make_plan
+from ..running.runner import Machinery
+from ..store.folder import Store
+from ..studies.complete import complete, default_folder
+from ..telling.console import print_table
+from ..telling.sayings import comparison_words as words
+from ..telling.wording import counted, number, percent, rough
 from . import options
 
 

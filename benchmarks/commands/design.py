@@ -13,19 +13,22 @@ import pandas as pd
 import typer
 
 from ...estimators.interface import Estimator
-from ...estimators.lmi_decay import trade_off
 from ...estimators.registry import estimator_class
 from ...estimators.registry import estimators as installed
-from ...estimators.ultimate_bound import FixedGain, error_system, read_gain
+from ...estimators.ultimate_bound.decay import trade_off
+from ...estimators.ultimate_bound.estimators import FixedGain
+from ...estimators.ultimate_bound.gains import read_gain
+from ...estimators.ultimate_bound.system import error_system
 from ...scenarios.errors import Infeasible, InputError, Unsupported
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
-from ..console import print_table
-from ..drive import prepare
-from ..plan import checked_parameters, find_one
-from .options import Estimators, Sets, labels, overrides, words
+from ..planning.naming import find_one
+from ..planning.plan import checked_parameters
+from ..running.drive import prepare
+from ..telling.console import print_table
+from .options import Estimators, Sets, labels, names_in, overrides
 
 Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
 Delta = Annotated[float | None, typer.Option(help="sqrt(sum delta_i^2) in newtons (the scenario's resistive law).")]
@@ -179,7 +182,7 @@ def _labels(setting: Setting[Any], only: str) -> list[str]:
 
 def _thetas(text: str) -> list[float]:
     try:
-        thetas = [float(word) for word in words(text)]
+        thetas = [float(word) for word in names_in(text)]
     except ValueError:
         thetas = []
     if not thetas or not all(0 < theta < 1 for theta in thetas):

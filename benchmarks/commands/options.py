@@ -20,14 +20,14 @@ Plugins = Annotated[list[str], typer.Option("--plugin", metavar="FILE.py",
                                             help="Use estimator classes of a loose file.")]
 
 
-def words(text: str) -> list[str]:
+def names_in(text: str) -> list[str]:
     """`A,B` as a list."""
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def labels(text: str) -> list[str]:
     """`--estimators A,B`. Raises InputError for an option without a name in it."""
-    found = words(text)
+    found = names_in(text)
     if text and not found:
         raise InputError(f"--estimators {text}: expected labels or names, such as ekf,ukf")
     return found

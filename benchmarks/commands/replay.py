@@ -8,11 +8,11 @@ import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
-from ...scenarios.schema import EstimatorEntry
-from ..execute import execute
-from ..plan import Cell, Plan, Task, make_plan
-from ..store import Store
-from ..summary import metric_columns
+from ..planning.plan import Task, make_plan
+from ..running.execute import execute
+from ..scoring.columns import metric_columns
+from ..store.folder import Store
+from ..store.manifest import stored_plan
 
 
 def replay(
@@ -25,7 +25,7 @@ def replay(
     if len(parts) != 4 or not parts[3].isdecimal() or len(parts[3]) > 9:
         raise InputError(f"{row}: expected SCENARIO/VARIANT/ESTIMATOR/RUN, such as ningbo-metro/switching/ekf/17")
     scenario, variant, label, number = parts
-    plan = stored_plan(out) if out else make_plan([f"{scenario}/{variant}"], only=[label], seed=seed)
+    plan = stored_plan(Store(out).manifest()) if out else make_plan([f"{scenario}/{variant}"], only=[label], seed=seed)
     cells = {cell.key: cell for cell in plan.cells}
     cell = cells.get(f"{scenario}/{variant}")
     if cell is None or label not in cell.entries:
@@ -50,16 +50,3 @@ def replay(
                 name in before and (before[name] == found[name] or (pd.isna(before[name]) and pd.isna(found[name])))
                 for name, *_ in metric_columns(again))
             print(f"  {'bit-identical to' if same else 'DIFFERS from'} the row in {out}")
-
-
-def stored_plan(folder: str) -> Plan:
-    """The plan a results folder was made from. Raises InputError."""
-    manifest = Store(folder).manifest()
-    configuration, saved = manifest["configuration"], manifest["replay"]
-    cells = []
-    for key, item in saved["cells"].items():
-        scenario, variant = key.split("/")
-        cells.append(Cell(scenario, variant, item["where"], item["table"], {
-            label: EstimatorEntry.model_validate(entry) for label, entry in item["entries"].items()}))
-    return Plan(tuple(cells), configuration["runs"], configuration["seed"], configuration["keep"],
-                tuple(saved["plugins"]))

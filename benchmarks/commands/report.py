@@ -16,7 +16,7 @@ def report(
     folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
 ) -> None:
     """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
-    from ..report import write_report
+    from ..telling.report import write_report
 
     path = write_report(folder)
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
@@ -29,8 +29,8 @@ def plot(
     out: Annotated[str, typer.Option(help="Where to write (default: DIR/figures).")] = "",
 ) -> None:
     """Write the report's figures as files at the width of a paper's column (3.5 inches)."""
-    from ..figures.catalogue import FIGURES, drawn
-    from ..figures.data import load_results
+    from ..telling.figures.catalogue import FIGURES, drawn
+    from ..telling.figures.data import load_results
 
     if format_ not in FORMATS:
         raise InputError(f"--format {format_}: unknown; allowed: {', '.join(FORMATS)}")

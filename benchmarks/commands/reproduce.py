@@ -13,12 +13,12 @@ import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
-from ..batch import complete
-from ..console import print_table
-from ..plan import Plan
-from ..runner import Machinery
-from ..store import Store
-from ..summary import to_latex, to_markdown
+from ..planning.plan import Plan
+from ..running.runner import Machinery
+from ..store.folder import Store
+from ..studies.complete import complete
+from ..telling.console import print_table
+from ..telling.markup import to_latex, to_markdown
 from .options import Jobs, Seed
 
 RUNS, SEED = 400, 1
@@ -48,7 +48,7 @@ def reproduce(
     machinery = Machinery(jobs or os.cpu_count() or 1)
     frame = pd.DataFrame()
     if plan.cells:
-        from ..batch import default_folder
+        from ..studies.complete import default_folder
 
         folder = Path(rows) if rows else default_folder(plan)
         frame = complete(plan, folder, machinery, shlex.join(["railstate", *sys.argv[1:]]), timing=False).rows()

@@ -11,10 +11,11 @@ from typing import Annotated, Any
 import typer
 
 from ...scenarios.errors import InputError
-from ..batch import complete, default_folder, print_results
-from ..plan import make_plan
-from ..runner import Machinery
-from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, overrides, words
+from ..planning.plan import make_plan
+from ..running.runner import Machinery
+from ..studies.complete import complete, default_folder
+from ..telling.results import print_results
+from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides
 
 
 def run(
@@ -61,7 +62,7 @@ def _files(line: str, train: str, recording: str, columns: str) -> dict[str, Any
                 raise InputError(f"--{key.split('.')[1]} {value}: no such file")
             changes[key] = str(Path(value).resolve())
     if columns:
-        pairs = {role: name for role, _, name in (pair.partition("=") for pair in words(columns))}
+        pairs = {role: name for role, _, name in (pair.partition("=") for pair in names_in(columns))}
         if not all(pairs.values()):
             raise InputError(f"--map {columns}: expected ROLE=COLUMN pairs, such as time=t_s,position=s_gnss_m")
         changes["plant.map"] = pairs

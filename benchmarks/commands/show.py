@@ -13,8 +13,8 @@ from ...estimators.interface import Estimator
 from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
-from ..console import print_table
-from ..plan import find_one
+from ..planning.naming import find_one
+from ..telling.console import print_table
 
 
 def list_() -> None:

@@ -14,17 +14,18 @@ import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
-from ..batch import complete
-from ..console import print_table
-from ..figures.axes import Style
-from ..figures.canvas import LIGHT
-from ..figures.data import assign_styles
-from ..plan import find_one, make_plan
-from ..runner import Machinery
-from ..store import Store
-from ..summary import summarise
-from ..wording import with_error
-from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, overrides, value, words
+from ..judging.summary import summarise
+from ..planning.naming import find_one
+from ..planning.plan import make_plan
+from ..running.runner import Machinery
+from ..store.folder import Store
+from ..studies.complete import complete
+from ..telling.console import print_table
+from ..telling.figures.axes import Style
+from ..telling.figures.canvas import LIGHT
+from ..telling.figures.data import assign_styles
+from ..telling.wording import with_error
+from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
 
 _MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "down": "v"}
 """The report's markers as matplotlib names them."""
@@ -86,10 +87,10 @@ def sweep(
 def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:
     """The metrics asked for. Raises InputError for one that is not there."""
     known = sorted({f"{a}:{b}" for a, b in zip(table["metric"], table["quantity"], strict=True)})
-    for item in words(metric):
+    for item in names_in(metric):
         if item not in known:
             raise InputError(f"--metric {item}: not among the metrics here: {', '.join(known)}")
-    return [(a, b) for a, _, b in (item.partition(":") for item in words(metric))]
+    return [(a, b) for a, _, b in (item.partition(":") for item in names_in(metric))]
 
 
 def _grid(part: pd.DataFrame, keys: list[str], names: list[str],

@@ -8,8 +8,8 @@ import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
-from ..console import print_table
-from .options import words
+from ..telling.console import print_table
+from .options import names_in
 
 
 def timing(
@@ -17,13 +17,13 @@ def timing(
     repeats: Annotated[int, typer.Option(help="Repetitions; the median is shown.")] = 5,
 ) -> None:
     """Measure whole filter steps as the runner drives them, against a peer doing the same work."""
-    from ..speed import COMPARISONS, compare
+    from ..speed import COMPARISONS, race
 
-    chosen = words(only) or list(COMPARISONS)
+    chosen = names_in(only) or list(COMPARISONS)
     unknown = [name for name in chosen if name not in COMPARISONS]
     if unknown:
         raise InputError(f"--only {','.join(unknown)}: no such comparison; allowed: {', '.join(COMPARISONS)}")
     if repeats < 1:
         raise InputError("--repeats: must be at least 1")
     for name in chosen:
-        print_table(f"{name}: {COMPARISONS[name]}", pd.DataFrame(compare(name, repeats)))
+        print_table(f"{name}: {COMPARISONS[name]}", pd.DataFrame(race(name, repeats)))

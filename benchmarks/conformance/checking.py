@@ -36,7 +36,7 @@ class Report:
     findings: list[Finding]
 
 
-def check(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scenario: str = "") -> Report:
+def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scenario: str = "") -> Report:
     """Check an estimator class on the small model and on a scenario. Raises InputError for parameters or a scenario
     that cannot be."""
     try:

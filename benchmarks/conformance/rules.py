@@ -11,12 +11,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from ...estimators.interface import Array, Status, misshapen
+from ...estimators.interface import Status, misshapen
+from ...scenarios.arrays import Array
 from ...scenarios.errors import Unsupported
 from ...scenarios.model import DesignModel
 from .trial import CLAIMS, DoesNotApply, Record, Rule, Trial, difference, feed
 
-ROUNDING = 1e-9
+ALIKE = 1e-9
 """How far a claimed matrix may be from symmetric and semi-definite, relative to its largest element."""
 MATRICES = ("covariance", "ellipsoid")
 ABSURD = 1e9
@@ -216,7 +217,7 @@ def _not_a_covariance(matrix: Array) -> str | None:
     """What keeps a matrix (n, n) from being symmetric and positive semi-definite, up to rounding."""
     if not np.isfinite(matrix).all():
         return "is not finite"
-    slack = ROUNDING * np.abs(matrix).max()
+    slack = ALIKE * np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > slack:
         return f"is not symmetric: {matrix.tolist()}"
     least = np.linalg.eigvalsh((matrix + matrix.T) / 2)[0]

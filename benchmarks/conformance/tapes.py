@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from ...estimators.interface import Array, Estimator, Mask
+from ...estimators.interface import Estimator
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Infeasible, InputError
 from ...scenarios.model import Bounds, DesignModel, Linear, Modes, Portion, Reception, linear_model
 from ...scenarios.randomness import Streams
@@ -19,11 +20,11 @@ from ...scenarios.registry import scenario_files
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step
-from ..plan import find
+from ..planning.naming import find
 
 RUNS = (0, 1, 2, 3, 4)
 STEPS = 16
-LOST = 0.2
+LOST_SHARE = 0.2
 """Share of events and of elements that are taken away on top of what the scenario's channel loses."""
 
 
@@ -126,7 +127,7 @@ def small_case(parameters: Mapping[str, Any]) -> Case:
         y.append(x + np.array([[POSITION_SD], [SPEED_SD]]) * noise.uniform(-1.5, 1.5, 2))
     received = np.ones((STEPS, 2, n), dtype=bool)
     tape = Tape(RUNS, start, np.stack(u), (1.0,) * STEPS, np.stack(y), received, np.stack(truth), (True,) * STEPS)
-    return Case("small model", thinned(tape, streams), small_model, streams, parameters, exact_parts=True)
+    return Case("small model", with_gaps(tape, streams), small_model, streams, parameters, exact_parts=True)
 
 
 # -- scenarios -------------------------------------------------------------------------------------------------------
@@ -179,7 +180,8 @@ def _case(name: str, setting: Setting[Any], cls: type[Estimator], entry: Estimat
         steps.append(world.step(k, mean))
         mean = steps[-1].truth[:len(mean)].copy()
     tape = _tape(world.initial_mean, steps)
-    return Case(name, thinned(tape, streams), lambda mean: setting.design_model(entry.knowledge, mean), streams, chosen)
+    return Case(name, with_gaps(tape, streams), lambda mean: setting.design_model(entry.knowledge, mean), streams,
+                chosen)
 
 
 def _tape(initial_mean: Array, steps: list[Step]) -> Tape:
@@ -191,11 +193,11 @@ def _tape(initial_mean: Array, steps: list[Step]) -> Tape:
         np.stack([step.truth for step, _, _ in events]), tuple(number == 0 for _, number, _ in events))
 
 
-def thinned(tape: Tape, streams: Streams) -> Tape:
+def with_gaps(tape: Tape, streams: Streams) -> Tape:
     """The tape with whole events and single elements of each run taken away at random, and real numbers in place of
     what was never measured."""
     channel = streams("thinning")
     events, ny = tape.y.shape[:2]
-    kept = channel.uniform(0.0, 1.0, events, ny) >= LOST
-    kept &= np.repeat(channel.uniform(0.0, 1.0, events, 1) >= LOST, ny, axis=1)
+    kept = channel.uniform(0.0, 1.0, events, ny) >= LOST_SHARE
+    kept &= np.repeat(channel.uniform(0.0, 1.0, events, 1) >= LOST_SHARE, ny, axis=1)
     return replace(tape, y=np.nan_to_num(tape.y, nan=0.0, posinf=0.0, neginf=0.0), received=tape.received & kept)

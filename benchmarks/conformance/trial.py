@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...estimators.interface import Array, Estimate, Estimator
+from ...estimators.interface import Estimate, Estimator
+from ...scenarios.arrays import Array
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
 from .tapes import Case, Tape

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from ...scenarios.arrays import Array
+from ..scoring.columns import IDENTITY, shown_unit
+from ..store.folder import Store
 from . import statistics as st
-from .statistics import Array
-from .store import IDENTITY, Store
 from .verdicts import by_run, cells, judged_columns
-from .wording import change_interval, counted, number, percent, shown_unit
 
 FINISHED = "finished"
 """Name of the contest over how many runs end well, where the two differ in that."""
@@ -25,7 +25,7 @@ TRUTH = ("time", "plant", "disturbance", "sensors", "channel", "score")
 """Tables of a scenario that decide the truths and how they are scored; pairs need them to be the same."""
 
 
-class Contest(NamedTuple):
+class Comparison(NamedTuple):
     """B against A in one quantity of one cell. a, b: their shown values over the paired runs."""
 
     cell: str
@@ -38,7 +38,7 @@ class Contest(NamedTuple):
     b: float
     found: st.Paired
     p: float
-    verdict: st.Verdict
+    verdict: st.Difference
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class _Pair:
     b: Array
 
 
-def between_estimators(rows: pd.DataFrame, manifest: Mapping[str, Any], a: str, b: str) -> list[Contest]:
+def between_estimators(rows: pd.DataFrame, manifest: Mapping[str, Any], a: str, b: str) -> list[Comparison]:
     """Contests of two labels in every cell of a folder's rows."""
     pairs: list[_Pair] = []
     for scenario, variant, part in cells(rows):
@@ -106,7 +106,7 @@ class Changes:
     """Rows compared, contests of those that differ, and what else is to be said."""
 
     alike: list[Alike]
-    contests: list[Contest]
+    contests: list[Comparison]
     notes: list[str]
 
     @property
@@ -125,21 +125,21 @@ def _pairs(cell: str, label: str, part: pd.DataFrame, about: Mapping[str, Any], 
         yield _Pair(cell, label, FINISHED, "runs", "", 1.0, lost[a], lost[b])
 
 
-def _decided(pairs: list[_Pair]) -> list[Contest]:
+def _decided(pairs: list[_Pair]) -> list[Comparison]:
     """Tests with Holm's correction over all of them, and verdicts. Pairs without two common runs have none."""
     found = [(pair, st.paired(pair.b, pair.a)) for pair in pairs]
     found = [(pair, each) for pair, each in found if each.n > 1]
     values = [_sign_test(pair) if pair.metric == FINISHED else each.p for pair, each in found]
-    out: list[Contest] = []
+    out: list[Comparison] = []
     for (pair, each), p in zip(found, st.holm(values), strict=True):
         if pair.metric == FINISHED:
-            verdict: st.Verdict = "tie" if p >= st.ALPHA else "better" if each.difference < 0 else "worse"
+            verdict: st.Difference = "tie" if p >= st.ALPHA else "better" if each.difference < 0 else "worse"
         else:
             verdict = st.verdict(each, p, len(found))
         both = np.isfinite(pair.a) & np.isfinite(pair.b)
         a, b = (st.pooled_rmse(side[both])[0] if pair.metric == "rmse" else float(side[both].mean())
                 for side in (pair.a, pair.b))
-        out.append(Contest(pair.cell, pair.label, pair.metric, pair.quantity, pair.unit, pair.factor, a, b, each, p,
+        out.append(Comparison(pair.cell, pair.label, pair.metric, pair.quantity, pair.unit, pair.factor, a, b, each, p,
                            verdict))
     return out
 
@@ -202,20 +202,3 @@ def _other_truths(a: Mapping[str, Any], b: Mapping[str, Any], cell: str) -> str:
     tables = [manifest["replay"]["cells"][cell]["table"] for manifest in (a, b)]
     changed = [name for name in TRUTH if tables[0].get(name) != tables[1].get(name)]
     return f"[{'], ['.join(changed)}] of the scenario changed" if changed else ""
-
-
-def words(contest: Contest, a: str, b: str) -> str:
-    """One line in plain words."""
-    found = contest.found
-    where = f"{contest.cell}{'/' + contest.label if contest.label else ''}"
-    certainty = f"p {'< 0.001' if contest.p < 1e-3 else '= ' + number(contest.p, 2)}, {counted(found.n, 'run')}"
-    if contest.metric == FINISHED:
-        chance = ", which may be chance" if contest.verdict == "tie" else ""
-        return (f"{where}: {b} ends well in {percent(1 - contest.b)} of the runs, {a} in {percent(1 - contest.a)}"
-                f"{chance} ({certainty})")
-    subject = f"{contest.quantity} {contest.metric}"
-    if contest.verdict in ("tie", "too few runs"):
-        verdict = "a tie" if contest.verdict == "tie" else "too few runs to tell"
-        return f"{where}: {subject}: {verdict}, {b} {change_interval(found)} against {a} ({certainty})"
-    return (f"{where}: {subject}: {b} is {contest.verdict} than {a}, {change_interval(found)}, with the lower error in "
-            f"{percent(found.won)} of the runs ({certainty})")

@@ -9,10 +9,10 @@ from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtr, ndtri, stdtrit
 
-Array = NDArray[np.float64]
+from ...scenarios.arrays import Array
 
 ALPHA = 0.05
 """Level of every test; intervals cover 1 - ALPHA."""
@@ -40,18 +40,7 @@ class Paired(NamedTuple):
     won: float
     relative: float
     n: int
-
-
-class Ranks(NamedTuple):
-    """Mean Friedman ranks (1 = least error), Friedman's p, and the cliques: index groups that are not told apart."""
-
-    mean: Array
-    p: float
-    cliques: list[tuple[int, ...]]
-    n: int
-
-
-Verdict = Literal["better", "worse", "tie", "too few runs"]
+Difference = Literal["better", "worse", "tie", "too few runs"]
 
 
 def finite(values: ArrayLike) -> Array:
@@ -203,7 +192,7 @@ def holm(pvalues: Sequence[float]) -> list[float]:
     return out.tolist()
 
 
-def verdict(found: Paired, adjusted_p: float, comparisons: int = 1) -> Verdict:
+def verdict(found: Paired, adjusted_p: float, comparisons: int = 1) -> Difference:
     """What may be said of a against b. Better and worse need all three: Holm's p under ALPHA, an interval of the mean
     difference without 0, and a mean difference of at least RESOLUTION of b's mean.
 
@@ -214,37 +203,3 @@ def verdict(found: Paired, adjusted_p: float, comparisons: int = 1) -> Verdict:
     if adjusted_p < ALPHA and (found.low > 0 or found.high < 0):
         return "better" if found.difference < 0 else "worse"
     return "too few runs" if comparisons * 2.0 ** (1 - found.n) >= ALPHA else "tie"
-
-
-def friedman(errors: Array) -> Ranks:
-    """Ranks of estimators over blocks, for a critical-difference diagram. errors (blocks, estimators), positive.
-
-    Blocks are what is independent and shared by all (one run of one variant); blocks with a NaN are left out. Two
-    estimators are told apart where Wilcoxon's test of log(error ratio), Holm-corrected over all pairs, says so and the
-    median ratio differs from 1 by RESOLUTION or more. Cliques are the maximal stretches of neighbouring ranks without
-    a pair told apart, members in order of rank."""
-    from scipy.stats import friedmanchisquare, rankdata
-
-    use = errors[np.isfinite(errors).all(axis=1)]
-    count = errors.shape[1]
-    if use.shape[0] < 2 or count < 2:
-        return Ranks(np.full(count, np.nan), float("nan"), [], use.shape[0])
-    mean = rankdata(use, axis=1).mean(axis=0)
-    p = float(friedmanchisquare(*use.T).pvalue) if count > 2 else float("nan")
-    logs = np.log(np.maximum(use, np.finfo(float).tiny))
-    pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
-    gaps = [logs[:, i] - logs[:, j] for i, j in pairs]
-    adjusted = holm([wilcoxon(gap) for gap in gaps])
-    apart = {pair for pair, gap, value in zip(pairs, gaps, adjusted, strict=True)
-             if value < ALPHA and abs(float(np.median(gap))) >= np.log1p(RESOLUTION)}
-    order = [int(i) for i in np.argsort(mean, kind="stable")]
-    cliques: list[tuple[int, ...]] = []
-    reached = 0
-    for begin in range(count):
-        end = begin + 1
-        while end < count and all((min(m, order[end]), max(m, order[end])) not in apart for m in order[begin:end]):
-            end += 1
-        if end > reached and end - begin > 1:
-            cliques.append(tuple(order[begin:end]))
-        reached = max(reached, end)
-    return Ranks(mean, p, cliques, use.shape[0])

@@ -4,7 +4,6 @@ Everything here is plain data that pickles, so that a task can go to another pro
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,13 +11,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..estimators.interface import Estimator
-from ..estimators.registry import estimator_class, estimators, load_file, source_hash
-from ..scenarios.errors import InputError, describe
-from ..scenarios.files import DISPLAY, Scenario, load
-from ..scenarios.registry import scenario_files, settings
-from ..scenarios.schema import EstimatorEntry
-from ..scenarios.setting import Setting
+from ...estimators.interface import Estimator
+from ...estimators.registry import estimator_class, estimators, load_file, source_hash
+from ...scenarios.errors import InputError, describe
+from ...scenarios.files import DISPLAY, Scenario, load
+from ...scenarios.registry import scenario_files, settings
+from ...scenarios.schema import EstimatorEntry
+from ...scenarios.setting import Setting
+from .naming import find
 
 
 @dataclass(frozen=True)
@@ -118,46 +118,6 @@ def _content(cell: Cell) -> dict[str, Any]:
     return {key: value for key, value in cell.table.items() if key not in DISPLAY} | {"estimators": cell.entries}
 
 
-def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, tuple[str, ...]]:
-    """A scenario and the variants meant: NAME or a path (all that do not run only when asked for), NAME/VARIANT or
-    PATH.toml/VARIANT (one).
-
-    Of several variants those that cannot take the overrides are left out with a warning."""
-    scenario, variant = _named(name, overrides)
-    if variant:
-        return scenario, (variant,)
-    for left, why in scenario.unfit.items():
-        if left not in scenario.requested:
-            warnings.warn(f"{scenario.where}: variant {left} is left out: {'; '.join(why)}", stacklevel=2)
-    return scenario, tuple(name for name in scenario.variants if name not in scenario.requested)
-
-
-def located(name: str) -> str:
-    """A scenario's name, or a file's path (with its variant) as it is from any folder."""
-    base, _, variant = name.rpartition("/")
-    if base.endswith(".toml"):
-        return f"{Path(base).resolve()}/{variant}"
-    return str(Path(name).resolve()) if name.endswith(".toml") else name
-
-
-def find_one(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
-    """A scenario and one variant: the one named, else the default one. Raises InputError if it is unfit."""
-    scenario, variant = _named(name, overrides)
-    variant = variant or scenario.default
-    scenario.setting(variant)
-    return scenario, variant
-
-
-def _named(name: str, overrides: Mapping[str, Any] | None) -> tuple[Scenario, str]:
-    """The scenario and the variant that a word of the command line names ("": none)."""
-    base, _, variant = name.rpartition("/")
-    if base and (base in scenario_files() or base.endswith(".toml")):
-        scenario = load(base, overrides, variant)
-        scenario.setting(variant)
-        return scenario, variant
-    return load(name, overrides), ""
-
-
 def _self_contained() -> list[str]:
     return [name for name in scenario_files()
             if not getattr(settings().get(str(_kind(name))), "needs_file", "")]
@@ -209,24 +169,3 @@ def own(cell: Cell, label: str) -> bool:
     """Whether an estimator of a cell, and the cell's setting, are the suite's own code."""
     classes = (settings()[cell.table["plant"]["kind"]], estimators()[cell.entries[label].plugin])
     return all(cls.__module__.startswith("railstate.") for cls in classes)
-
-
-def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
-    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first."""
-    tasks: list[tuple[float, Task]] = []
-    for cell in plan.cells:
-        setting = cell.setting()
-        room = max(1, int(400e6 / max(setting.batch_bytes(), 1)))
-        share = plan.runs if len(plan.cells) >= 2 * jobs else -(-plan.runs // jobs)
-        size = batch or max(1, min(500, room, share))
-        missing: dict[tuple[str, ...], list[int]] = {}
-        for run in range(plan.runs):
-            labels = tuple(label for label in cell.entries if run not in done.get((cell.key, label), ()))
-            if labels:
-                missing.setdefault(labels, []).append(run)
-        for labels, runs in missing.items():
-            for first in range(0, len(runs), size):
-                block = tuple(runs[first:first + size])
-                weight = setting.batch_bytes() * len(block) * len(labels)
-                tasks.append((weight, Task(cell, labels, block, plan.seed, plan.keep, plan.plugins)))
-    return [task for _, task in sorted(tasks, key=lambda item: -item[0])]

@@ -17,14 +17,15 @@ from pydantic import ValidationError, field_validator
 
 from ...scenarios.errors import InputError, describe
 from ...scenarios.schema import Strict
-from ..plan import Cell as PlanCell
-from ..plan import Plan, make_plan
+from ..planning.plan import Cell as PlanCell
+from ..planning.plan import Plan, make_plan
 from .rows import Book, Found
 from .values import COMPUTATIONS
 
-Verdict = Literal["reproduced", "fitted", "not reproduced", "contradicts its text", "unreachable"]
-VERDICTS: tuple[Verdict, ...] = ("reproduced", "fitted", "not reproduced", "contradicts its text", "unreachable")
-COLUMNS = ("paper", "item", "cell", "published", "ours", "standard_error", "unit", "verdict", "expected", "note")
+Reproduction = Literal["reproduced", "fitted", "not reproduced", "contradicts its text", "unreachable"]
+VERDICTS: tuple[Reproduction, ...] = ("reproduced", "fitted", "not reproduced", "contradicts its text", "unreachable")
+PUBLISHED_COLUMNS = ("paper", "item", "cell", "published", "ours", "standard_error", "unit", "verdict", "expected",
+                     "note")
 UNDECIDED = "Too few runs to decide."
 FOLDER = Path(__file__).parent
 
@@ -33,7 +34,7 @@ class Published(Strict):
     """One published cell, and what of ours stands beside it.
 
     Either scenario, variant, estimator, metric, quantity (a summary of rows, times `factor`), or `compute` with its
-    arguments (a function of `reproduce_values.py`), or neither: `unreachable`, and `missing` says what is missing.
+    arguments (a function of `values.py`), or neither: `unreachable`, and `missing` says what is missing.
     It agrees within relative * |published| + absolute + 3 standard errors, plus 2 standard deviations of a mean of as
     many runs as the paper has `trials` (0: no allowance). at_most: a claim that the number is below this, by 2 standard
     errors.
@@ -59,7 +60,7 @@ class Published(Strict):
     fitted: bool = False
     contradicts: bool = False
     missing: str = ""
-    expected: Verdict
+    expected: Reproduction
     note: str = ""
 
 
@@ -146,15 +147,15 @@ def plan_for(chosen: Sequence[Paper], runs: int, seed: int) -> Plan:
     return Plan(tuple(cells), runs, seed)
 
 
-class Judged(NamedTuple):
+class Reproduced(NamedTuple):
     """Our number for a cell, the verdict, and whether the runs were enough to tell it from the other one."""
 
     found: Found | None
-    verdict: Verdict
+    verdict: Reproduction
     decided: bool
 
 
-def judge(cell: Published, book: Book) -> Judged:
+def reproduce_cell(cell: Published, book: Book) -> Reproduced:
     """Our number for a cell and the verdict; too few runs leave it undecided."""
     if cell.compute:
         found = COMPUTATIONS[cell.compute].value(book, *cell.arguments)
@@ -162,7 +163,7 @@ def judge(cell: Published, book: Book) -> Judged:
         found = book.found(cell.scenario, cell.variant, cell.estimator, cell.metric, cell.quantity)
         found = Found(found.value * cell.factor, found.error * cell.factor, found.spread * cell.factor)
     else:
-        return Judged(None, "unreachable", True)
+        return Reproduced(None, "unreachable", True)
     if cell.at_most is not None:
         distance, room, error = found.value, cell.at_most, 2 * found.error
         agrees = distance + error <= room
@@ -174,8 +175,8 @@ def judge(cell: Published, book: Book) -> Judged:
         agrees = distance <= room + error
     decided = not abs(distance - room) < error
     if agrees:
-        return Judged(found, "fitted" if cell.fitted else "reproduced", decided)
-    return Judged(found, "contradicts its text" if cell.contradicts else "not reproduced", decided)
+        return Reproduced(found, "fitted" if cell.fitted else "reproduced", decided)
+    return Reproduced(found, "contradicts its text" if cell.contradicts else "not reproduced", decided)
 
 
 def reproduce(chosen: Sequence[Paper], rows: pd.DataFrame) -> pd.DataFrame:
@@ -184,12 +185,12 @@ def reproduce(chosen: Sequence[Paper], rows: pd.DataFrame) -> pd.DataFrame:
     lines = []
     for paper in chosen:
         for cell in paper.cells:
-            found, verdict, decided = judge(cell, book)
+            found, verdict, decided = reproduce_cell(cell, book)
             note = " ".join(part for part in (cell.note, f"missing: {cell.missing}" if cell.missing else "",
                                               "" if decided else UNDECIDED) if part)
             lines.append((paper.name, cell.item, cell.cell, cell.published, found.value if found else np.nan,
                           found.error if found and found.error else np.nan, cell.unit, verdict, cell.expected, note))
-    return pd.DataFrame(lines, columns=list(COLUMNS))
+    return pd.DataFrame(lines, columns=list(PUBLISHED_COLUMNS))
 
 
 def counts(table: pd.DataFrame) -> pd.DataFrame:

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from ...scenarios.arrays import Array
 from ...scenarios.errors import InputError
-from ..statistics import mean_se, pooled_rmse
-
-Array = NDArray[np.float64]
+from ..judging.statistics import mean_se, pooled_rmse
 
 
 @dataclass(frozen=True)

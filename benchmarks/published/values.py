@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ...estimators.lmi import certify, ultimate_bound
-from ...estimators.random_access import covariance_sequence
-from ...estimators.random_access_bounds import CovarianceBounds
-from ...estimators.ultimate_bound import error_system, read_gain
+from ...estimators.random_access.bounds import CovarianceBounds
+from ...estimators.random_access.covariance import covariance_sequence
+from ...estimators.ultimate_bound.gains import read_gain
+from ...estimators.ultimate_bound.lmi import certify, ultimate_bound
+from ...estimators.ultimate_bound.system import error_system
 from ...scenarios.files import load
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
@@ -122,14 +123,14 @@ def follower_ratio(book: Book, k_acc: float) -> Found:
     return Found((-1 + inner**0.5) / 2 if inner >= 0 else float("nan"))
 
 
-KALMAN = ("ekf", "ukf", "ckf")
+KALMAN_LABELS = ("ekf", "ukf", "ckf")
 
 
 def robust_ratio(book: Book, variant: str, quantity: str) -> Found:
     """RMSE of robust-mean-square over that of the best matched Kalman filter, paired over runs (delta method)."""
     squares = {label: book.values("ningbo-metro", variant, label, "rmse", quantity) ** 2
-               for label in (*KALMAN, "robust-mean-square")}
-    best = min(KALMAN, key=lambda label: float(np.nanmean(squares[label])))
+               for label in (*KALMAN_LABELS, "robust-mean-square")}
+    best = min(KALMAN_LABELS, key=lambda label: float(np.nanmean(squares[label])))
     value, *errors = astuple(ratio(squares["robust-mean-square"], squares[best]))
     return Found(value**0.5, *(0.5 * error / value**0.5 for error in errors))
 
@@ -157,5 +158,5 @@ COMPUTATIONS: dict[str, Computation] = {
                                                          for variant in ("law-p", "law-p-fixed-block")]),
     "follower_ratio": Computation(follower_ratio),
     "robust_ratio": Computation(robust_ratio, lambda variant, quantity: [
-        ("ningbo-metro", variant, label) for label in (*KALMAN, "robust-mean-square")]),
+        ("ningbo-metro", variant, label) for label in (*KALMAN_LABELS, "robust-mean-square")]),
 }

@@ -10,17 +10,16 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..estimators.interface import Estimate, Estimator, misshapen
-from ..scenarios.model import DesignModel
-from ..scenarios.randomness import RunRandom
-from ..scenarios.setting import Setting
-from ..scenarios.world import Step, World, step_times
-from .scoring import Scored, Scorer
-from .windows import WindowErrors
+from ...estimators.interface import Estimate, Estimator, misshapen
+from ...scenarios.arrays import Array
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import RunRandom
+from ...scenarios.setting import Setting
+from ...scenarios.world import Step, World, step_times
+from ..scoring.scorer import Scored, Scorer
+from ..scoring.windows import WindowErrors
 
-Array = NDArray[np.float64]
 Watch = Callable[[int, Estimate, Step], None]
 
 

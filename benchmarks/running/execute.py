@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ..estimators.interface import Estimate, Status
-from ..estimators.registry import estimators, load_file
-from ..scenarios.errors import Infeasible, InputError
-from ..scenarios.randomness import Streams
-from ..scenarios.setting import Setting
-from ..scenarios.world import Step, World, step_times
+from ...estimators.interface import Estimate, Status
+from ...estimators.registry import estimators, load_file
+from ...scenarios.errors import Infeasible, InputError
+from ...scenarios.randomness import Streams
+from ...scenarios.setting import Setting
+from ...scenarios.world import Step, World, step_times
+from ..planning.plan import Task
 from .drive import Driven, drive, prepare
-from .plan import Task
 
 Columns = dict[str, Any]
 

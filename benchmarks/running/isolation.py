@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from ..estimators.interface import Status
+from ...estimators.interface import Status
 
 
 class Ended(NamedTuple):

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ..estimators.registry import estimators, load_file
-from ..scenarios.randomness import Streams
+from ...estimators.registry import estimators, load_file
+from ...scenarios.randomness import Streams
+from ..planning.plan import Cell, Plan, own
+from ..scoring.columns import TIMING
 from .drive import prepare
 from .isolation import Ended, Isolation, isolation
-from .plan import Cell, Plan, own
-from .store import TIMING
 
 WARM_UP, STEPS, SECONDS = 5, 400, 0.15
 

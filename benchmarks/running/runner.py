@@ -5,9 +5,8 @@ suite's own code never runs in this process: if it dies or hangs, that costs the
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -15,18 +14,18 @@ from queue import Empty, Queue
 from threading import Thread
 from typing import Any
 
-from ..scenarios.errors import InputError
+from ...scenarios.errors import InputError
+from ..planning.plan import Plan, Task, own
+from ..planning.tasks import make_tasks
 from .execute import Result, execute, failed_rows
 from .isolation import Ended, Isolation, isolation
-from .plan import Plan, Task, make_tasks, own
-from .store import Store
 
 
 @dataclass(frozen=True)
 class Machinery:
     """How, not what, to run: none of it changes a row.
 
-    jobs: processes. batch: runs per task (None: chosen from memory and jobs). backend: `local`, or joblib's `dask` or
+    jobs: processes. batch: runs per task (None: by the memory a run takes, the jobs and the number of runs). backend: `local`, or joblib's `dask` or
     `ray` with the scheduler's address. timeout: seconds a single task may take before it counts as hung."""
 
     jobs: int = 1
@@ -36,13 +35,9 @@ class Machinery:
     timeout: float = 900.0
 
 
-def run(plan: Plan, store: Store, machinery: Machinery, report: Callable[[Task], None] = lambda task: None) -> None:
-    """Compute all rows of the plan that the store does not have yet. `report` is told of each finished task."""
-    tasks = make_tasks(plan, store.done(), machinery.jobs, machinery.batch)
-
-    def keep(result: Result) -> None:
-        store.write_part(_stem(result.task), rows=result.rows, curves=result.curves, trajectories=result.kept)
-        report(result.task)
+def run(plan: Plan, done: Mapping[tuple[str, str], set[int]], machinery: Machinery) -> Generator[Result]:
+    """Compute all rows of the plan that are not done yet: the results of each task as they come."""
+    tasks = make_tasks(plan, done, machinery.jobs, machinery.batch)
 
     left = dict.fromkeys(range(len(tasks)))
     alone = machinery.backend == "local" and (machinery.jobs == 1 or len(tasks) <= 1)
@@ -50,11 +45,10 @@ def run(plan: Plan, store: Store, machinery: Machinery, report: Callable[[Task],
         if alone and not all(own(cell, label) for cell in plan.cells for label in cell.entries):
             raise _Lost
         for number, result in map(_numbered, range(len(tasks)), tasks) if alone else _parallel(tasks, machinery):
-            keep(result)
+            yield result
             del left[number]
     except _Lost:
-        for result in _isolated([tasks[number] for number in left], machinery):
-            keep(result)
+        yield from _isolated([tasks[number] for number in left], machinery)
 
 
 class _Lost(Exception):
@@ -164,8 +158,3 @@ def _narrowed(task: Task, process: Isolation) -> Iterator[Result]:
         return
     for part in parts:
         yield from _narrowed(part, process)
-
-
-def _stem(task: Task) -> str:
-    digest = hashlib.sha256("\0".join(task.labels).encode()).hexdigest()[:8]
-    return f"{task.cell.scenario}~{task.cell.variant}~{task.runs[0]:06d}-{task.runs[-1]:06d}~{digest}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..estimators.kernels import factorise, forward, gather3, kernel, tile_width
+from ...estimators.kernels.core import factorise, forward, gather3, kernel, tile_width
 
 LANES = 8
 

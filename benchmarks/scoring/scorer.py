@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..estimators.interface import Estimate, Status
-from ..scenarios.setting import Quantity
-from ..scenarios.world import Step
-from .scoring_kernels import score_bound, score_errors, score_matrix, score_nees
+from ...estimators.interface import Estimate, Status
+from ...scenarios.arrays import Array
+from ...scenarios.setting import Quantity
+from ...scenarios.world import Step
+from .kernels import score_bound, score_errors, score_matrix, score_nees
 
-Array = NDArray[np.float64]
 EVERYTHING = np.zeros((0, 0), dtype=bool)
 CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
 

@@ -4,28 +4,14 @@ A window is a set of steps of each run; a step belongs to one window at most."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..estimators.interface import Estimate
-from ..scenarios.setting import Outcome, Quantity
-from ..scenarios.world import Step
-
-Array = NDArray[np.float64]
-
-
-def window_columns(columns: Iterable[str], quantities: Collection[str]) -> dict[str, list[tuple[str, str]]]:
-    """quantity -> (window, column) of a rows table's windowed errors, in the order of the columns."""
-    out: dict[str, list[tuple[str, str]]] = {}
-    for column in columns:
-        metric, _, rest = str(column).partition(":")
-        name = rest.partition(":")[0]
-        quantity = next((q for q in quantities if metric == "rmse" and name.startswith(f"{q}-")), None)
-        if quantity and name not in quantities:
-            out.setdefault(quantity, []).append((name.removeprefix(f"{quantity}-"), str(column)))
-    return out
+from ...estimators.interface import Estimate
+from ...scenarios.arrays import Array
+from ...scenarios.setting import Outcome, Quantity
+from ...scenarios.world import Step
 
 
 class WindowErrors:

@@ -18,13 +18,13 @@ COMPARISONS = {
 """The comparisons, a module each, and what they are."""
 
 
-def compare(name: str, repeats: int) -> list[Row]:
+def race(name: str, repeats: int) -> list[Row]:
     """The lines of one comparison, medians of so many repetitions. Raises InputError where a peer is not installed."""
     from threadpoolctl import threadpool_limits
 
     try:
         with threadpool_limits(1):
-            return import_module(f".{name}", __name__).compare(repeats)
+            return import_module(f".{name}", __name__).race(repeats)
     except ModuleNotFoundError as error:
         raise InputError(f"--only {name}: its peer {error.name} is not installed; pip install 'railstate[test]' has "
                          "all peers") from None

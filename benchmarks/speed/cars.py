@@ -12,7 +12,7 @@ from .measure import Row, cell_of, line, ours, peer, recorded
 STEPS, PEER_RUNS = 200, 3
 
 
-def compare(repeats: int) -> list[Row]:
+def race(repeats: int) -> list[Row]:
     """Lines for 100 and 1000 runs against each peer."""
     cell = cell_of("cbtc-csma/uniform", "kalman", {"time.steps": STEPS + 1})
     setting = cell.setting()

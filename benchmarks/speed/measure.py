@@ -7,17 +7,16 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...estimators.registry import estimators
+from ...scenarios.arrays import Array
 from ...scenarios.randomness import Streams
 from ...scenarios.world import Trajectory
-from ..drive import drive, prepare
-from ..execute import FirstSteps
-from ..latency import measure
-from ..plan import Cell, make_plan
+from ..planning.plan import Cell, make_plan
+from ..running.drive import drive, prepare
+from ..running.execute import FirstSteps
+from ..running.latency import measure
 
-Array = NDArray[np.float64]
 Row = dict[str, str]
 
 

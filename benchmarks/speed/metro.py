@@ -14,8 +14,9 @@ from filterpy.kalman import (
 )
 
 from ...estimators.sigma_point import UnscentedKalman
-from ...scenarios.metro import Metro
-from .measure import Array, Row, cell_of, latency, line, ours, peer, recorded
+from ...scenarios.arrays import Array
+from ...scenarios.metro.setting import Metro
+from .measure import Row, cell_of, latency, line, ours, peer, recorded
 
 RUNS, STEPS, PEER_RUNS = 1000, 200, 3
 
@@ -53,7 +54,7 @@ class PlainMetro:
         return np.array([[1.0, dt + 0.5 * dt * dt * d], [0.0, 1.0 + dt * d]])
 
 
-def compare(repeats: int) -> list[Row]:
+def race(repeats: int) -> list[Row]:
     """One line per filter: 1000 runs of ours against filterpy, one run's step latency of both, and what our runner adds
     for scoring and for itself."""
     rows = []

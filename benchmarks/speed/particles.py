@@ -10,14 +10,15 @@ import numpy as np
 
 from ...estimators.reference.particle_loop import particle_loop
 from ...estimators.registry import estimators
+from ...scenarios.arrays import Array
 from ...scenarios.randomness import Streams
-from ..plan import Cell
-from .measure import Array, Row, cell_of, line, ours, peer, recorded
+from ..planning.plan import Cell
+from .measure import Row, cell_of, line, ours, peer, recorded
 
 RUNS, STEPS, PEER_STEPS = 200, 150, 30
 
 
-def compare(repeats: int) -> list[Row]:
+def race(repeats: int) -> list[Row]:
     """A line per estimator and form. Both filters see the same run; the peer's is cut short."""
     rows = []
     for label in ("rbpf", "sma", "gsma"):

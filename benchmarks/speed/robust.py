@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..plan import Cell
+from ..planning.plan import Cell
 from .measure import Row, cell_of, line, ours
 
 RUNS, STEPS, PEER_STEPS = 100, 200, 40
 
 
-def compare(repeats: int) -> list[Row]:
+def race(repeats: int) -> list[Row]:
     """One line per estimator; the two are compared on the same first steps of one run."""
     rows = []
     for label in ("robust-bounded", "robust-mean-square", "robust-ellipsoid"):

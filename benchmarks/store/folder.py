@@ -7,10 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
-import reprlib
-import subprocess
-import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -21,19 +17,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ..scenarios.errors import InputError
+from ...scenarios.errors import InputError
+from ..scoring.columns import IDENTITY, TIMING
+from .manifest import MANIFEST, differing, environment
 
 if TYPE_CHECKING:
     import pandas as pd
 
-PACKAGES = ("numpy", "scipy", "numba", "filterpy", "cvxpy", "clarabel", "pandas", "pyarrow", "joblib", "pydantic")
-IDENTITY = ("scenario", "variant", "estimator", "run")
-TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "throughput_ns",
-          "sampling_period_s")
-"""Columns of timing.csv."""
-MANIFEST = {"railstate": str, "command": str, "configuration": dict, "scenarios": dict, "estimators": dict,
-            "replay": dict, "environment": dict, "started": str}
-"""What every manifest has."""
 
 
 class Store:
@@ -47,7 +37,7 @@ class Store:
         """Create the folder, or continue one of the same configuration. Raises InputError naming what differs."""
         manifest = self.folder / "manifest.json"
         if manifest.exists():
-            differences = _differences(self.manifest()["configuration"], json.loads(json.dumps(configuration)))
+            differences = differing(self.manifest()["configuration"], json.loads(json.dumps(configuration)))
             if differences:
                 shown = "\n".join(f"  {line}" for line in differences[:8])
                 raise InputError(f"{self.folder}: holds results of another configuration; choose another --out or "
@@ -175,45 +165,3 @@ class Store:
                 raise InputError(f"{path}: damaged ({str(error).splitlines()[0]}); remove it and run again: only its "
                                  "rows are computed anew") from None
         return pa.concat_tables(tables, promote_options="default") if tables else None
-
-
-def environment() -> dict[str, Any]:
-    """Versions, processor and git state of this installation."""
-    here = Path(__file__).resolve().parent
-
-    def git(*words: str) -> str | None:
-        try:
-            return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True,
-                                  timeout=10).stdout.strip()
-        except (OSError, subprocess.SubprocessError):
-            return None
-
-    status = git("status", "--porcelain", "--untracked-files=no")
-    return {"python": sys.version.split()[0], "platform": platform.platform(terse=True), "processor": _processor(),
-            "cores": os.cpu_count(), "packages": {name: version(name) for name in PACKAGES},
-            "git_commit": git("rev-parse", "HEAD"), "git_dirty": None if status is None else bool(status)}
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
-
-
-def _differences(there: Any, now: Any, path: str = "") -> list[str]:
-    if isinstance(there, dict) and isinstance(now, dict):
-        lines: list[str] = []
-        for key in {**there, **now}:
-            inner = f"{path}.{key}" if path else key
-            if key not in there:
-                lines.append(f"{inner}: absent -> given")
-            elif key not in now:
-                lines.append(f"{inner}: given -> absent")
-            else:
-                lines += _differences(there[key], now[key], inner)
-        return lines
-    return [] if there == now else [f"{path}: {reprlib.repr(there)} -> {reprlib.repr(now)}"]

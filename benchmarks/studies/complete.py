@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from itertools import groupby
 from pathlib import Path
 
 import pandas as pd
 
-from .console import print_table, progress
-from .describe import description
-from .latency import timing_table
-from .plan import Plan, own
-from .runner import Machinery, run
-from .store import Store
-from .summary import cell_tables, outage_tables, summarise, to_latex, to_markdown, window_tables
-from .verdicts import headlines, short_verdicts
-from .wording import notes_of
+from ..judging.summary import summarise
+from ..planning.plan import Plan, own
+from ..planning.tasks import task_name
+from ..running.latency import timing_table
+from ..running.runner import Machinery, run
+from ..store.folder import Store
+from ..store.manifest import description
+from ..telling.console import progress
+from ..telling.markup import to_latex, to_markdown
+from ..telling.sayings import short_verdicts
+from ..telling.tables import cell_tables, outage_tables, window_tables
+from ..telling.wording import notes_of
 
 
 class Interrupted(Exception):
@@ -37,8 +40,13 @@ def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, ti
     try:
         store.open(plan.configuration(), description(plan), command)
         total = sum(len(cell.entries) for cell in plan.cells) * plan.runs
-        with progress(total - sum(len(runs) for runs in store.done().values()), "rows") as advance:
-            run(plan, store, machinery, lambda task: advance(len(task.runs) * len(task.labels), task.cell.key))
+        done = store.done()
+        with (progress(total - sum(len(runs) for runs in done.values()), "rows") as advance,
+              contextlib.closing(run(plan, done, machinery)) as results):
+            for found in results:
+                task = found.task
+                store.write_part(task_name(task), rows=found.rows, curves=found.curves, trajectories=found.kept)
+                advance(len(task.runs) * len(task.labels), task.cell.key)
         rows = store.rows()
         if timing and not (folder / "timing.csv").exists():
             if not all(own(cell, label) for cell in plan.cells for label in cell.entries):
@@ -71,33 +79,3 @@ def write_tables(store: Store, rows: pd.DataFrame) -> None:
         stem = f"tables/{cell.replace('/', '~')}~{what.split()[2]}"
         store.write_text(f"{stem}.md", to_markdown(title, frame, []))
         store.write_text(f"{stem}.tex", to_latex(title, frame, []))
-
-
-def print_results(store: Store) -> None:
-    """The tables on standard output, failures with their replay lines, and the closing count."""
-    rows, manifest = store.rows(), store.manifest()
-    summary = summarise(rows)
-    tables = cell_tables(summary, manifest, store.timing(), short_verdicts(rows, manifest))
-    windows: dict[str, list[tuple[str, pd.DataFrame]]] = {}
-    for title, parts in window_tables(rows, manifest):
-        windows.setdefault(title.partition(": ")[0], []).append((title, parts))
-    for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
-        told: set[str] = set()
-        for key, frame in variants:
-            notes = notes_of(manifest["scenarios"][scenario]["variants"][key.split("/")[1]])
-            print_table(key, frame, [note for note in notes if note not in told])
-            told.update(notes)
-            for title, parts in windows.pop(key, []) if len(told) == len(notes) else []:
-                print_table(title, parts)
-        for line in headlines(rows, manifest, scenario):
-            print(f"{scenario}: {line}")
-        print()
-    bad = rows[rows["status"] != "ok"]
-    groups = bad.groupby(["scenario", "variant", "estimator", "status", "reason"], sort=False)
-    for (scenario, variant, estimator, status, reason), part in groups:
-        first = int(part["run"].iloc[0])
-        print(f"{status}: {scenario}/{variant}/{estimator}, {len(part)} of {manifest['configuration']['runs']} runs: "
-              f"{str(reason).splitlines()[0] if reason else 'no reason given'}\n"
-              f"  replay: railstate replay {scenario}/{variant}/{estimator}/{first} --out {store.folder}")
-    counts = rows["status"].value_counts()
-    print(f"{len(rows)} rows: " + ", ".join(f"{n} {status}" for status, n in counts.items()) + f"; in {store.folder}")

@@ -9,8 +9,9 @@ from typing import Any
 
 import pandas as pd
 
-from .verdicts import Breach, Judged, broken_promises, by_run, cells, judge, judged_columns, oracle_labels
-from .wording import change_range, listing, number, percent, plus_minus, shown_unit, some
+from ..judging.verdicts import Breach, Judged, broken_promises, by_run, cells, judge, judged_columns, oracle_labels
+from ..scoring.columns import shown_unit
+from .wording import change_range, listing, number, percent, plus_minus, some
 
 
 def paragraph(rows: pd.DataFrame, manifest: Mapping[str, Any], scenario: str) -> list[str]:

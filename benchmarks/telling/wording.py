@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .statistics import Interval, Paired
+from ..judging.statistics import Interval, Paired
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -139,11 +139,3 @@ def notes_of(variant: Mapping[str, Any]) -> list[str]:
     """What a reader of a variant's table must know: its notes, and which parameters were fitted."""
     fitted = [f"Fitted, not printed by the source: {', '.join(variant['fitted'])}."] if variant["fitted"] else []
     return [*variant["notes"], *fitted]
-
-
-def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) -> tuple[str, float]:
-    """(unit, factor) a value is shown in: the scenario's choice for plain errors of the quantity, else as it is."""
-    chosen = about.get("shown", {}).get(quantity)
-    if chosen and metric in ("rmse", "mae", "max", "min", "final", "mean", "half-width"):
-        return str(chosen[0]), float(chosen[1])
-    return ("" if unit in ("1", "1^2") else unit.replace("^2", "²")), 1.0

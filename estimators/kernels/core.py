@@ -11,7 +11,7 @@ from numba import njit
 # inf, as in NumPy, which keeps branches out of the inner loops.
 kernel = njit(cache=True, error_model="numpy")
 
-SINGULAR = 1e-14
+SMALLEST_PIVOT_RATIO = 1e-14
 """A pivot under this share of its diagonal entry counts as zero (a direction without uncertainty)."""
 INDEFINITE = 1e-9
 """A pivot under minus this share of its diagonal entry is an indefinite matrix, no rounding error."""
@@ -211,7 +211,7 @@ def factorise(matrix, factor, inverse, failed, definite, width):
     rounding: SINGULAR, INDEFINITE) is a direction without uncertainty and gets a column of zeros. Failed runs get
     NaN, so that nothing computed from them can pass for a number."""
     n = matrix.shape[0]
-    floor = 0.0 if definite else SINGULAR
+    floor = 0.0 if definite else SMALLEST_PIVOT_RATIO
     slack = 0.0 if definite else INDEFINITE
     for j in range(n):
         for s in range(width):

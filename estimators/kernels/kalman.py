@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+from .core import factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
 
 
 @kernel

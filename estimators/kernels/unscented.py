@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import backward, factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
-from .kernels_kalman import innovate, receivers
+from .core import backward, factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+from .kalman import innovate, receivers
 
 
 @kernel

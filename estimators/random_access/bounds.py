@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scenarios.model import Linear, Reception
+from ...scenarios.model import Linear, Reception
 
-Array = NDArray[np.floating[Any]]
+Array = NDArray[np.floating[Any]]  # what numpy's linear algebra returns
+
 SIGMA_MAX, M_MAX = 1e6, 20
 """How far a pair for Theorem 4 is searched."""
 DIGITS = 4

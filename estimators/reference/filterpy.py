@@ -18,8 +18,8 @@ from filterpy.kalman import (
 )
 from pydantic import model_validator
 
+from ...scenarios.arrays import Array
 from ..adapters import Indices, PerRun, RunModel
-from ..interface import Array
 from ..kalman import ExtendedKalman
 from ..sigma_point import CubatureKalman, UnscentedKalman
 

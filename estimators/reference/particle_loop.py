@@ -7,13 +7,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...scenarios.arrays import Array
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from ..stochastic_m.cloud import GridParticles
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -9,10 +9,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Unsupported
 from ...scenarios.model import Bounds, DesignModel, Portion
 from ...scenarios.randomness import RunRandom
-from ..interface import Array, Estimator, Mask, Parameters, Status, flag
+from ..interface import Estimator, Parameters, Status, flag
 from .small import contraction
 
 SOURCE = "Liu et al., Measurement and Control 2025, doi 10.1177/00202940251368051"

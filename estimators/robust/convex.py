@@ -10,10 +10,8 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ...scenarios.arrays import Array, Mask
 
 REFINED = {"iterative_refinement_max_iter": 50, "iterative_refinement_reltol": 1e-15}
 ATTEMPTS = tuple((tolerance, refinement) for tolerance in (1e-10, 1e-8, 1e-6) for refinement in ({}, REFINED))

@@ -10,9 +10,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, PositiveFloat
 
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..interface import Array, Estimate, Mask, Status
+from ..interface import Estimate, Status
 from .base import Robust, RobustParameters, SensorParameters, plain
 from .fast import recursive_step
 from .memoryless import memoryless_step

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import kernel
+from ..kernels.core import kernel
 from .raw import raw_measurement
-from .small import TINY, contraction, factorise, solve
+from .small import TINY, contraction, factorise_one, solve_one
 
 TOLERANCE = 1e-10
 """Relative fall of the objective at which the alternation ends. Any multipliers give a valid bound: ending is safe."""
@@ -136,10 +136,10 @@ def _gain(S, C, m, R, share, offset, ellipsoid, V, K):  # pyright: ignore
             for k in range(n):
                 total += C[j, k] * K[k, l]
             V[j, l] = total
-    if not factorise(V, m):
+    if not factorise_one(V, m):
         return False
     for i in range(n):
-        solve(V, m, K[i])
+        solve_one(V, m, K[i])
     return True
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import kernel
-from .small import TINY, contraction, factorise, largest_eigenvalue, solve
+from ..kernels.core import kernel
+from .small import TINY, contraction, factorise_one, largest_eigenvalue, solve_one
 
 
 @kernel
@@ -42,8 +42,8 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         for j in range(n):
             H[i, j] = Q0[i, j] + g0[i] * g0[j] / beta
         H[i, i] += 1e-14 * scale
-    if factorise(H, n):
-        solve(H, n, slope)
+    if factorise_one(H, n):
+        solve_one(H, n, slope)
         total = 0.0
         for i in range(n):
             total += g0[i] * slope[i]
@@ -88,8 +88,8 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         for i in range(n):
             slope[i] = weight * slope[i] + 2.0 * nu * g[i] - 2.0 / beta * (g0[i] - g[i])
             trial[i] = -slope[i]
-        if factorise(H, n):
-            solve(H, n, trial)
+        if factorise_one(H, n):
+            solve_one(H, n, trial)
         descent = 0.0
         for i in range(n):
             descent -= trial[i] * slope[i]
@@ -164,17 +164,17 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
         finite = np.isfinite(nu)
         for i in range(n):
             finite &= np.isfinite(S[i, i])
-        good = finite and factorise(V, m)
+        good = finite and factorise_one(V, m)
         if good:
             beta = 0.0
             for i in range(n):
-                solve(V, m, k[i])
+                solve_one(V, m, k[i])
             for j in range(m):
                 seen[j] = 0.0
                 for i in range(n):
                     seen[j] += Cr[j, i] * M[i]
                 gained[j] = seen[j]
-            solve(V, m, gained)
+            solve_one(V, m, gained)
             for j in range(m):
                 beta += seen[j] * gained[j]
             _residual(k, Cr, m, S, D, rows, M, G, Q0, g0, a)

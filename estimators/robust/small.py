@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import kernel
+from ..kernels.core import kernel
 
 TINY = 1e-200
 """A squared linearisation error under this is none: its multiplier would overflow."""
-SINGULAR = 1e-13
+SMALLEST_PIVOT = 1e-13
 """A Cholesky pivot under this share of its diagonal entry counts as zero."""
 
 
 @kernel
-def factorise(V, m):  # pyright: ignore
+def factorise_one(V, m):  # pyright: ignore
     """Cholesky factor of the leading (m, m) block of V, in place in its lower triangle. False where V is not PD."""
     for i in range(m):
         scale = V[i, i]
@@ -24,7 +24,7 @@ def factorise(V, m):  # pyright: ignore
             for k in range(j):
                 total -= V[i, k] * V[j, k]
             if i == j:
-                if not (total > SINGULAR * scale):
+                if not (total > SMALLEST_PIVOT * scale):
                     return False
                 V[i, i] = np.sqrt(total)
             else:
@@ -33,7 +33,7 @@ def factorise(V, m):  # pyright: ignore
 
 
 @kernel
-def solve(V, m, row):  # pyright: ignore
+def solve_one(V, m, row):  # pyright: ignore
     """Replace row[:m] by V^-1 row, V factorised."""
     for i in range(m):
         for k in range(i):
@@ -59,7 +59,7 @@ def invert(C, n, inverse, work):  # pyright: ignore
         for i in range(c + 1, n):
             if abs(work[i, c]) > abs(work[best, c]):
                 best = i
-        if not (abs(work[best, c]) > SINGULAR * size):
+        if not (abs(work[best, c]) > SMALLEST_PIVOT * size):
             return False
         if best != c:
             for j in range(n):

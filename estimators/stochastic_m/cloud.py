@@ -8,20 +8,18 @@ from abc import abstractmethod
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from ...scenarios.arrays import Array, Index, Mask
 from ...scenarios.errors import Unsupported
 from ...scenarios.model import DesignModel, Modes, Portion, whole_steps
 from ...scenarios.randomness import RunRandom
-from ..interface import Estimate, Estimator, Mask, Parameters, Status, flag
+from ..interface import Estimate, Estimator, Parameters, Status, flag
+from ..mode_grid import VARIANCE_FLOOR
 from . import factorised, full
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 DRAWS = 256  # uniforms a run fetches at once: the stream is the same, the call's cost shared
 CYCLE = 64  # pruning makes the number of particles periodic within far fewer steps
-ROUNDING = 1e-18  # variance added to claims: a particle cloud of one value may claim less than rounding errors
 
 
 class CloudParameters(Parameters):
@@ -116,7 +114,7 @@ class GridParticles(Estimator):
         runs, capacity = theta.shape
         u, k = ~self.known, self.known
         nu, nk = int(u.sum()), int(k.sum())
-        self.kernel, self.model_moving = factorised.step, factorised.factorise(modes, variance)
+        self.kernel, self.model_moving = factorised.step, factorised.factors_of(modes, variance)
         self.model_waiting = factorised.still(self.model_moving)
         particles = np.zeros((runs, nu, capacity))
         particles[:, :, :self.n] = x[u].transpose(2, 0, 1)
@@ -184,7 +182,7 @@ class GridParticles(Estimator):
         else:
             mean, covariance = out.mean, out.covariance[:c, :c].copy()
         for i in range(c):
-            covariance[i, i] += ROUNDING
+            covariance[i, i] += VARIANCE_FLOOR
         return Estimate(mean, parameter=out.parameter, covariance=covariance, diversity=self.diversity)
 
     def counters(self) -> dict[str, Array]:

@@ -9,16 +9,14 @@ from typing import Any, Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from ...scenarios.arrays import Array, Index
 from ...scenarios.model import Modes
+from .. import mode_grid as transitions
 from ..interface import used_with
-from . import transition as transitions
 from .cloud import CloudParameters, GridParticles
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 POLICY = "prune A: after an expansion beyond Q; B: when the next would go beyond Q; C: every step"
 STAY = "probability of keeping the value under the sticky prior; the rest goes to the two neighbours"
 

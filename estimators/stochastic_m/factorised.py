@@ -10,13 +10,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ...scenarios.arrays import Array, Index
 from ...scenarios.errors import Unsupported
 from ...scenarios.model import Modes
-from .gain import Factors, gain_of, innovation, product
-from .select import collapse, distinct, normalise, select
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from ..kernels.modes import normalise
+from ..mode_grid import known_states
+from .gain import Factors, gain_of, innovation, pair_product
+from .select import collapse, distinct, select
 
 
 class Cloud(NamedTuple):
@@ -41,19 +41,7 @@ class Moments(NamedTuple):
     diversity: Array
 
 
-def known_states(modes: Modes, initial_covariance: Array) -> NDArray[np.bool_]:
-    """States that are known exactly: no initial variance, no process noise, the same rule in every mode, driven by
-    each other and the input alone. Shape (nx,)."""
-    known = (np.diag(initial_covariance) == 0) & (np.abs(modes.Q).sum(axis=1) == 0)
-    known &= (np.ptp(modes.A, axis=0) == 0).all(axis=1) & (np.ptp(modes.B, axis=0) == 0).all(axis=1)
-    while True:
-        leaning = np.array([np.any(modes.A[0, i, ~known] != 0) for i in range(len(known))])
-        if not (known & leaning).any():
-            return known
-        known &= ~leaning
-
-
-def factorise(modes: Modes, initial_covariance: Array) -> Factors:
+def factors_of(modes: Modes, initial_covariance: Array) -> Factors:
     """Split the modes. Raises Unsupported where theta acts on uncertain states, or not proportionally."""
     k = known_states(modes, initial_covariance)
     u = ~k
@@ -98,8 +86,8 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
     dot products per parent. work (3, n) is scratch."""
     nu, g = len(x), children.shape[1]
     M = gain[3]
-    z_i, square, product = work[0], work[1], work[2]
-    square[:], product[:] = 0.0, 0.0
+    z_i, square, pair_product = work[0], work[1], work[2]
+    square[:], pair_product[:] = 0.0, 0.0
     gamma = 0.0
     for a in range(len(M)):
         gamma += z[a, 1] * z[a, 1]
@@ -115,7 +103,7 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
             factor = z[a, 1]
             for i in range(n):
                 square[i] += z_i[i] * z_i[i]
-                product[i] += z_i[i] * factor
+                pair_product[i] += z_i[i] * factor
         elif not np.isfinite(z[a, 0]):
             square[:] = np.nan
     for i in range(n):
@@ -124,7 +112,7 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
         for j in range(g):
             v = model.grid[children[row, j]]
             value[i * g + j] = v
-            logw[i * g + j] = base + log_prior[row, j] + v * (product[i] - 0.5 * gamma * v)
+            logw[i * g + j] = base + log_prior[row, j] + v * (pair_product[i] - 0.5 * gamma * v)
 
 
 @njit(cache=True)
@@ -159,7 +147,7 @@ def _moments(gain, e, x, w, value, picked, count, work, out, s):
             centred[i] = weight[i] * off[l, i]
         for m in range(l + 1):
             spread[l, m] = spread[m, l] = _dot(centred, off[m], n)
-    moved = product(product(G, spread, False), G, True)
+    moved = pair_product(pair_product(G, spread, False), G, True)
     out.parameter[0, s] = parameter
     for l in range(nu):
         out.mean[l, s] = e[l, 0] + parameter * e[l, 1]

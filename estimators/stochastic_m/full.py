@@ -10,10 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ...scenarios.arrays import Array
 from ...scenarios.model import Modes
-from .select import collapse, distinct, normalise, select
+from ..kernels.modes import kalman_block, mixture, normalise, whitened
+from .select import collapse, distinct, select
 
-Array = NDArray[np.float64]
 CHUNK = 64
 
 
@@ -60,118 +61,6 @@ def still(modes: FullModes) -> FullModes:
     eye = np.eye(len(modes.Q))
     return modes._replace(A=np.repeat(eye[None], len(modes.A), axis=0), B=np.zeros_like(modes.B),
                           Q=np.zeros_like(modes.Q), support=eye != 0)
-
-
-@njit(cache=True)
-def whitened(C, R, y, received):
-    """L^-1 C, L^-1 y of the received rows, L L' = R there: measurements to be used one at a time, variance 1 each."""
-    rows = np.nonzero(received)[0]
-    r, nx = len(rows), C.shape[1]
-    L, Cw, yw = np.zeros((r, r)), np.empty((r, nx)), np.empty(r)
-    for a in range(r):
-        for b in range(a + 1):
-            total = R[rows[a], rows[b]]
-            for l in range(b):
-                total -= L[a, l] * L[b, l]
-            L[a, b] = np.sqrt(total) if a == b else total / L[b, b]
-        for j in range(nx):
-            Cw[a, j] = C[rows[a], j]
-            for l in range(a):
-                Cw[a, j] -= L[a, l] * Cw[l, j]
-            Cw[a, j] /= L[a, a]
-        yw[a] = y[rows[a]]
-        for l in range(a):
-            yw[a] -= L[a, l] * yw[l]
-        yw[a] /= L[a, a]
-    return Cw, yw
-
-
-@njit(cache=True)
-def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
-    """Predict and update c particles, each with its own model, in place (eqs. (14) to (16), (20), (21)).
-
-    A (nx, nx, c'), drive B u (nx, c'), x (nx, c'), P (nx, nx, c'), c <= c'; Cw (r, nx), yw (r,) whitened. loglik (c',)
-    becomes log N(y; y^, S) up to the constant all particles share."""
-    nx = x.shape[0]
-    moved, AP = np.zeros((nx, c)), np.zeros((nx, nx, c))
-    PH, e, gain = np.empty((nx, c)), np.empty(c), np.empty(c)
-    for i in range(nx):
-        for k in range(c):
-            moved[i, k] = drive[i, k]
-        for l in range(nx):
-            if support[i, l]:
-                for k in range(c):
-                    moved[i, k] += A[i, l, k] * x[l, k]
-                for j in range(nx):
-                    for k in range(c):
-                        AP[i, j, k] += A[i, l, k] * P[l, j, k]
-    for i in range(nx):
-        for k in range(c):
-            x[i, k] = moved[i, k]
-        for j in range(i + 1):
-            for k in range(c):
-                P[i, j, k] = Q[i, j]
-            for l in range(nx):
-                if support[j, l]:
-                    for k in range(c):
-                        P[i, j, k] += AP[i, l, k] * A[j, l, k]
-            if j < i:
-                for k in range(c):
-                    P[j, i, k] = P[i, j, k]
-    loglik[:c] = 0.0
-    volume = np.ones(c)  # det S, so that one logarithm a child is enough
-    for a in range(len(yw)):
-        for k in range(c):
-            e[k], gain[k] = yw[a], 1.0
-        for i in range(nx):
-            PH[i, :] = 0.0
-            for j in range(nx):
-                factor = Cw[a, j]
-                if factor != 0.0:
-                    for k in range(c):
-                        PH[i, k] += P[i, j, k] * factor
-        for i in range(nx):
-            factor = Cw[a, i]
-            if factor != 0.0:
-                for k in range(c):
-                    e[k] -= factor * x[i, k]
-                    gain[k] += factor * PH[i, k]
-        for k in range(c):
-            volume[k] *= gain[k]
-            gain[k] = 1.0 / gain[k]
-            loglik[k] -= 0.5 * (e[k] * e[k] * gain[k])
-        for i in range(nx):
-            for k in range(c):
-                x[i, k] += PH[i, k] * (e[k] * gain[k])
-            for j in range(i + 1):
-                for k in range(c):
-                    P[i, j, k] -= PH[i, k] * PH[j, k] * gain[k]
-                if j < i:
-                    for k in range(c):
-                        P[j, i, k] = P[i, j, k]
-    for k in range(c):
-        loglik[k] -= 0.5 * np.log(volume[k])
-
-
-@njit(cache=True)
-def mixture(w, n, values, x, P, mean, covariance):
-    """Into mean (nx,), covariance (nx, nx): moments of n weighted Gaussians x (nx, n), P (nx, nx, n). Returns the mean
-    of `values` (n,)."""
-    nx = x.shape[0]
-    parameter = 0.0
-    for c in range(n):
-        parameter += w[c] * values[c]
-    for i in range(nx):
-        mean[i] = 0.0
-        for c in range(n):
-            mean[i] += w[c] * x[i, c]
-    for i in range(nx):
-        for j in range(i + 1):
-            total = 0.0
-            for c in range(n):
-                total += w[c] * (P[i, j, c] + (x[i, c] - mean[i]) * (x[j, c] - mean[j]))
-            covariance[i, j] = covariance[j, i] = total
-    return parameter
 
 
 @njit(cache=True)

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ...scenarios.arrays import Array
 
 
 class Factors(NamedTuple):
@@ -32,7 +31,7 @@ class Factors(NamedTuple):
 
 
 @njit(cache=True)
-def product(a, b, transposed):
+def pair_product(a, b, transposed):
     """a b, or a b' (small matrices)."""
     rows, inner = a.shape
     columns = b.shape[0] if transposed else b.shape[1]
@@ -67,21 +66,21 @@ def gain_of(model, P, received):
     """What depends on neither data nor input: received rows, L with L L' = S, M = L^-1 C F, the gain W = P C' L^-T of
     whitened innovations, G = (1 - K C) F, and the posterior covariance."""
     rows = np.nonzero(received)[0]
-    P = product(product(model.F, P, False), model.F, True) + model.Q
+    P = pair_product(pair_product(model.F, P, False), model.F, True) + model.Q
     C = model.C[rows]
-    CP = product(C, P, False)
-    L = product(CP, C, True)
+    CP = pair_product(C, P, False)
+    L = pair_product(CP, C, True)
     for a in range(len(rows)):
         for b in range(a + 1):
             total = L[a, b] + model.R[rows[a], rows[b]]
             for l in range(b):
                 total -= L[a, l] * L[b, l]
             L[a, b] = np.sqrt(total) if a == b else total / L[b, b]
-    M = product(C, model.F, False)
+    M = pair_product(C, model.F, False)
     _solve_lower(L, M)
     _solve_lower(L, CP)
     W = np.ascontiguousarray(CP.T)
-    return rows, C, L, M, W, model.F - product(W, M, False), P - product(W, W, True)
+    return rows, C, L, M, W, model.F - pair_product(W, M, False), P - pair_product(W, W, True)
 
 
 @njit(cache=True)

@@ -4,59 +4,10 @@ Weights are logarithms throughout: a floor on weights would decide which particl
 
 from __future__ import annotations
 
-from math import factorial, log
-
 import numpy as np
 from numba import njit
 
-# 1 / k! for k = 2..13: the last term at |r| <= ln 2 / 2 is 1e-16
-_C = tuple(1 / factorial(k) for k in range(2, 14))
-_C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11, _C12, _C13 = _C
-_ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which then stands in the low bits
-_LOG2E, _LN2_HIGH, _LN2_LOW = 1 / log(2), 0.693147180369123816490, 1.90821492927058770002e-10
-
-
-@njit(cache=True)
-def exponentials(x, n, top, out):
-    """out[i] = exp(x[i] - top) for x <= top, to 2 units in the last place; 0 under exp(-708) and for NaN.
-
-    exp(t) = 2^k exp(r) with r = t - k ln 2: without branches, so that the loops vectorise (three times the speed of
-    the library's function, by the same bits on every machine)."""
-    power = np.empty(n)
-    bits = power.view(np.int64)
-    for i in range(n):
-        t = x[i] - top
-        t = t if t > -708.0 else -708.0
-        rounded = t * _LOG2E + _ROUND
-        k = rounded - _ROUND
-        r = (t - k * _LN2_HIGH) - k * _LN2_LOW
-        p = ((_C13 * r + _C12) * r + _C11) * r + _C10
-        p = (((p * r + _C9) * r + _C8) * r + _C7) * r + _C6
-        p = (((p * r + _C5) * r + _C4) * r + _C3) * r + _C2
-        out[i] = (p * r + 1.0) * r + 1.0
-        power[i] = rounded + 1023.0
-    for i in range(n):
-        bits[i] <<= 52
-    for i in range(n):
-        out[i] = out[i] * power[i] if x[i] - top >= -708.0 else 0.0
-
-
-@njit(cache=True)
-def normalise(logw, n, w):
-    """w[i] = exp(logw[i]) / sum over the first n; returns log sum exp, or NaN when all weights vanish."""
-    top = -np.inf
-    for i in range(n):
-        if logw[i] > top:
-            top = logw[i]
-    if not top > -np.inf or top == np.inf:
-        return np.nan
-    exponentials(logw, n, top, w)
-    total = 0.0
-    for i in range(n):
-        total += w[i]
-    for i in range(n):
-        w[i] /= total
-    return top + np.log(total)
+from ..kernels.modes import exponentials
 
 
 @njit(cache=True)

@@ -9,13 +9,10 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..scenarios.errors import Infeasible
-from .lmi import Certificate, ErrorSystem, Multipliers, solve, symmetric, ultimate_bound
-
-Array = NDArray[np.float64]
-
+from ...scenarios.arrays import Array
+from ...scenarios.errors import Infeasible
+from .lmi import Certificate, ErrorSystem, Multipliers, solve_problem, symmetric, ultimate_bound
 
 SLOWER, FASTER = (0.985, 0.99, 0.995, 0.999, 0.9999), (0.97, 0.95, 0.9, 0.8, 0.6, 0.3)
 """Decays tried in turn from 0.98 on: until the bound is kept, until it no longer is."""
@@ -122,7 +119,7 @@ def corollary2(system: ErrorSystem, varpi: float, T: Array, *, solver: str = "CL
     weight = symmetric(cp.bmat([[rho * eye(nx) - R - R.T, gamma * M.T], [gamma * M, -rho * eye(M.shape[0])]]))
     noise = node.largest * cp.sum_squares(Y @ root)
     problem = cp.Problem(cp.Maximize(gamma), [lmi << 0, weight << 0, noise + two <= varpi * (gamma - 1)])
-    status = solve(problem, solver)
+    status = solve_problem(problem, solver)
     if status != "optimal" or R.value is None or Y.value is None or gamma.value is None:
         raise Infeasible(f"Corollary 2 has no solution at varpi = {varpi:g} in these coordinates ({solver}: {status}; "
                          "constraints (32) to (34)); try T = P^(1/2) of a Corollary 1 solution, or a larger varpi")

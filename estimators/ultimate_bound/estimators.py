@@ -5,7 +5,6 @@ They differ in where the gain comes from: Corollary 1, the fastest decay under a
 from __future__ import annotations
 
 import hashlib
-import warnings
 from abc import abstractmethod
 from dataclasses import asdict
 from importlib.metadata import version
@@ -15,43 +14,18 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from .. import scenarios
-from ..scenarios.errors import Infeasible, InputError, Unsupported
-from ..scenarios.model import DesignModel, Portion, whole_steps
-from ..scenarios.randomness import RunRandom
-from . import lmi, lmi_decay
-from .design_cache import remember
-from .interface import Array, Estimate, Estimator, Mask, Parameters
-from .kernels import apply
-from .lmi import Certificate, ErrorSystem, Multipliers, Node
-
-NEEDS = ("linear", "bounds", "reception", "performance")
-THETA = 0.98
-"""The paper's decay, where neither the estimator's parameters nor the scenario's knowledge name one."""
-
-
-def error_system(model: DesignModel) -> ErrorSystem:
-    """The estimation error's dynamics (eq. (11)) from a design model. Raises Unsupported.
-
-    Forces are `bounds.G` w with |w_i| <= `bounds.w_bar[i]`. Reception: one packet with all elements, its probability
-    known to an interval (the paper's case); or nodes of which exactly one transmits each step with known probabilities
-    (random access), where the same Lyapunov argument holds with exact second moments: E over the chosen node i of
-    (A - K Pi_i C)' P (A - K Pi_i C). The latter is our extension, not the paper's. `details["mirror"]`, where given:
-    see `ErrorSystem`."""
-    linear, bounds, reception, performance = model.linear, model.bounds, model.reception, model.performance
-    if linear is None or bounds is None or reception is None or performance is None:
-        raise Unsupported(f"an ultimate bound needs {', '.join(NEEDS)} of the design model")
-    if not linear.constant or bounds.M is not None:
-        raise Unsupported("an ultimate bound needs a linear plant that does not change with time")
-    C = linear.C(0)
-    if reception.nodes:
-        nodes = tuple(Node(elements, p, 0.0, p * (1 - p), p)
-                      for elements, p in zip(reception.nodes, reception.p, strict=True))
-    else:
-        nodes = (lmi.packet(reception.p_low, reception.p_high, C.shape[0], reception.variance),)
-    noise_root = cast(Array, np.linalg.cholesky(linear.R(0)))
-    mirror = cast(tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] | None, model.details.get("mirror"))
-    return ErrorSystem(linear.A(0), C, bounds.G, performance, noise_root, bounds.w_bar, nodes, mirror)
+from ...scenarios.arrays import Array, Mask
+from ...scenarios.errors import Infeasible, InputError, Unsupported
+from ...scenarios.model import DesignModel, Portion, whole_steps
+from ...scenarios.randomness import RunRandom
+from ..design_cache import remember
+from ..interface import Estimate, Estimator, Parameters
+from ..kernels.core import apply
+from . import decay as lmi_decay
+from . import lmi
+from .gains import read_gain
+from .lmi import Certificate, ErrorSystem, Multipliers
+from .system import NEEDS, THETA, error_system
 
 
 class GainParameters(Parameters):
@@ -221,26 +195,6 @@ class FixedGain(ConstantGain):
 
     def _solve(self, system: ErrorSystem, target: float) -> Certificate:
         return lmi.certify(system, self.K, target, multipliers=self.parameters.multipliers)
-
-
-def read_gain(file: str, folder: Path = Path()) -> Array:
-    """The matrix in a CSV file: one beside the built-in scenarios by its bare name, else by path from `folder` on.
-    Raises InputError."""
-    beside = Path(scenarios.__path__[0]) / file
-    path = beside if Path(file).name == file and beside.is_file() else folder / file
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of an empty file, which has its own message
-            gain = np.loadtxt(path, delimiter=",", ndmin=2)
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file, neither here nor beside the built-in scenarios") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: not a CSV file of numbers, one row of the gain a line: {error}") from None
-    if not gain.size:
-        raise InputError(f"{file}: is empty; a gain has one row of numbers a line")
-    if not np.isfinite(gain).all():
-        raise InputError(f"{file}: a gain must have only finite numbers")
-    return gain
 
 
 def _plain(value: Any) -> Any:

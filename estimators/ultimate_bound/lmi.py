@@ -10,11 +10,10 @@ from time import perf_counter
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..scenarios.errors import Infeasible
+from ...scenarios.arrays import Array
+from ...scenarios.errors import Infeasible
 
-Array = NDArray[np.float64]
 Multipliers = Literal["scalar", "free"]
 
 _LADDER = (1.0, 1e-2, 1e-4)
@@ -113,7 +112,7 @@ def _certificate(system: ErrorSystem, theta: float, K: Array | None, multipliers
     scales = _LADDER[::-1] if solver == "SCS" else _LADDER
     for ladder in scales:
         form = _Form(system, theta, K, multipliers, ladder)
-        status = solve(form.least_bound(), solver)
+        status = solve_problem(form.least_bound(), solver)
         if status == "optimal":
             residual = form.residual()
             if residual < 1e-6:
@@ -237,7 +236,7 @@ class _Form:
         excess: Any = self.cp.Variable()
         margins = [part.decay << excess * np.eye(part.decay.shape[0]) for part in self.parts]
         problem = self.cp.Problem(self.cp.Minimize(excess), [*self.conditions, *margins, excess >= -1])
-        return float(excess.value) if solve(problem, solver) == "optimal" else np.nan
+        return float(excess.value) if solve_problem(problem, solver) == "optimal" else np.nan
 
     def residual(self) -> float:
         spectra = [np.linalg.eigvalsh(part.whole.value) for part in self.parts]
@@ -313,7 +312,7 @@ def symmetric(block: Any) -> Any:
     return (block + block.T) / 2
 
 
-def solve(problem: Any, solver: str) -> str:
+def solve_problem(problem: Any, solver: str) -> str:
     """Solve a cvxpy problem and return the status; a solver that gives up is a status too, never an exception."""
     from cvxpy.error import SolverError
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
-from .channels import Channel, RandomAccess
-from .schema import ScenarioConfig, Strict
-
-Array = NDArray[np.float64]
+from ..arrays import Array
+from ..channels import Channel, RandomAccess
+from ..schema import ScenarioConfig, Strict
 
 
 class Command(Strict):

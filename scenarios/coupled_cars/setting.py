@@ -8,17 +8,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .channels import Csma
-from .coupled_cars_config import CarAccess, CoupledCarsConfig, Knowledge, headway_name
-from .coupled_cars_plant import Matrices, largest_force, matrices, simulate
-from .model import Bounds, DesignModel, Linear, Reception, linear_model, product
-from .randomness import Streams
-from .setting import Outcome, Quantity, Setting
-from .world import Trajectory
-
-Array = NDArray[np.float64]
+from ..arrays import Array
+from ..channels import Csma
+from ..model import Bounds, DesignModel, Linear, Reception, linear_model, product
+from ..randomness import Streams
+from ..setting import Outcome, Quantity, Setting
+from ..world import Trajectory
+from .config import CarAccess, CoupledCarsConfig, Knowledge, headway_name
+from .plant import Matrices, largest_force, matrices, simulate
 
 
 class CoupledCars(Setting[CoupledCarsConfig]):

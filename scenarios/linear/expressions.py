@@ -10,7 +10,7 @@ import operator
 from collections.abc import Callable
 from functools import cache
 
-Value = Callable[[int], float]
+Compiled = Callable[[int], float]
 
 LONGEST = 200
 CONSTANTS = {"pi": math.pi, "e": math.e}
@@ -26,7 +26,7 @@ ALLOWED = f"numbers, k, {', '.join(CONSTANTS)}, + - * / ** %, parentheses and {'
 
 
 @cache
-def expression(text: str) -> Value:
+def expression(text: str) -> Compiled:
     """The function of k that `text` describes. Raises ValueError naming what is not allowed.
 
     The function raises ValueError where it has no finite value (division by zero, overflow, log of nothing)."""
@@ -50,7 +50,7 @@ def expression(text: str) -> Value:
     return value
 
 
-def _compile(node: ast.expr, text: str) -> Value:
+def _compile(node: ast.expr, text: str) -> Compiled:
     match node:
         case ast.Constant(value=bool() | complex()):
             pass

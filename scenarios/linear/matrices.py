@@ -10,12 +10,11 @@ from functools import lru_cache
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, WithJsonSchema
 
+from ..arrays import Array
 from .expressions import expression
 
-Array = NDArray[np.float64]
 AtStep = Callable[[int], Array]
 Value = TypeVar("Value")
 

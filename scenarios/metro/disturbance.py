@@ -7,13 +7,12 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from .randomness import RunRandom
-from .schema import Strict
+from ..arrays import Array
+from ..randomness import RunRandom
+from ..schema import Strict
 
-Array = NDArray[np.float64]
 Range = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 Form = Literal["white", "sinusoid", "switching", "constant", "physical", "gaussian"]
 

@@ -2,113 +2,27 @@
 
 Truth: `metro_trip`; what estimators are told: the same acceleration law without the disturbance, and its bounds."""
 
-# Each setting narrows the types of the common tables, which are frozen: pyright takes them for mutable.
 # pyright: reportIncompatibleVariableOverride=false
-
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from . import metro_plant as compiled
-from .channels import Channel, Ideal
-from .errors import InputError
-from .line import LineOrFile, Train, TrainOrFile
-from .metro_disturbance import UNTOUCHED, Disturbance, Sensors
-from .metro_trip import Controller, Reference, Trip, check, simulate
-from .model import Bounds, DesignModel, Portion
-from .randomness import Streams
-from .schema import ScenarioConfig, Strict
-from .setting import Outcome, Quantity, Setting
-from .world import Trajectory, World
-
-Array = NDArray[np.float64]
-Two = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
-
-
-class Plant(Strict):
-    """line, train: tables, or paths of TTOBench files. loads: mass kg of the train with its passengers on each section,
-    where it is not the train's own throughout; the train weighs itself, so that inputs are told as shares of the force
-    that does the same to its own mass. start_speed m/s; start_error: the estimators' first errors are uniform within
-    +-[m, m/s]."""
-
-    kind: Literal["metro"]
-    line: LineOrFile
-    train: TrainOrFile
-    loads: list[PositiveFloat] = []
-    controller: Controller
-    start_speed: NonNegativeFloat
-    start_error: Two
-
-    @model_validator(mode="after")
-    def _one_load_a_section(self) -> Plant:
-        sections = len(self.line.stops) - 1
-        if self.loads and len(self.loads) != sections:
-            raise ValueError(f"loads has {len(self.loads)} entries for {sections} sections: one each is needed")
-        return self
-
-    @property
-    def heaviest(self) -> Train:
-        """The train with its greatest load."""
-        return self.train.model_copy(update={"mass": max(self.loads)}) if self.loads else self.train
-
-    @property
-    def ease(self) -> Array:
-        """The train's own mass over that on each section, (sections,)."""
-        own = np.ones(len(self.line.stops) - 1)
-        return self.train.mass / np.array(self.loads) if self.loads else own
-
-
-class Knowledge(Strict):
-    """What estimators are told. w_bar m/s^2, v_bar [m, m/s]: bounds. moments: the second moments that follow from
-    them (uniform: bound^2 / 3; gaussian: bound^2 / 9). sigma_w m/s^2, sigma_v [m, m/s]: standard deviations instead.
-
-    initial_sd [m, m/s]. kappa: a constant factor of the linearisation error instead of the computed one."""
-
-    w_bar: PositiveFloat
-    v_bar: Two
-    moments: Literal["uniform", "gaussian"] = "uniform"
-    sigma_w: PositiveFloat | None = None
-    sigma_v: Two | None = None
-    initial_sd: Two
-    kappa: NonNegativeFloat | None = None
-
-    @property
-    def process_sd(self) -> float:
-        """Standard deviation of the acceleration disturbance, m/s^2."""
-        return self.sigma_w or self.w_bar / self.divisor
-
-    @property
-    def sensor_sd(self) -> Array:
-        """Standard deviations of the measurement noise (2,)."""
-        return np.array(self.sigma_v or [bar / self.divisor for bar in self.v_bar])
-
-    @property
-    def divisor(self) -> float:
-        return 3.0 if self.moments == "gaussian" else 3.0**0.5
-
-
-class MetroConfig(ScenarioConfig):
-    """The metro scenario, resolved for one variant."""
-
-    plant: Plant
-    disturbance: Disturbance  # pyright: ignore[reportGeneralTypeIssues]
-    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
-    channel: Channel = Ideal()
-    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
-
-    @model_validator(mode="after")
-    def _consistent(self) -> MetroConfig:
-        plant = self.plant
-        check(plant.line, plant.heaviest, plant.controller, self.disturbance.w_bar, plant.start_speed)
-        self.channel.check(2)
-        return self
+from ..arrays import Array
+from ..errors import InputError
+from ..model import Bounds, DesignModel, Portion
+from ..railway import dynamics as compiled
+from ..railway.trip import Reference, Trip, simulate
+from ..randomness import Streams
+from ..schema import ScenarioConfig
+from ..setting import Outcome, Quantity, Setting
+from ..world import Trajectory, World
+from .config import Knowledge, MetroConfig
+from .disturbance import UNTOUCHED
 
 
 class Metro(Setting[MetroConfig]):

@@ -11,9 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, model_validator
 
-from .channels import Channel, Ideal
-from .moving_block_track import StadiumTrack
-from .schema import ScenarioConfig, Strict
+from ..channels import Channel, Ideal
+from ..schema import ScenarioConfig, Strict
+from .track import StadiumTrack
 
 
 class Track(Strict):

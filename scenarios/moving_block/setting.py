@@ -8,17 +8,15 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .model import DesignModel, Portion
-from .moving_block_config import Knowledge, MovingBlockConfig
-from .moving_block_track import StadiumTrack, travelled
-from .moving_block_trains import TwoTrains
-from .randomness import Streams
-from .setting import Outcome, Quantity, Setting
-from .world import World
-
-Array = NDArray[np.float64]
+from ..arrays import Array
+from ..model import DesignModel, Portion
+from ..randomness import Streams
+from ..setting import Outcome, Quantity, Setting
+from ..world import World
+from .config import Knowledge, MovingBlockConfig
+from .track import StadiumTrack, travelled
+from .trains import TwoTrains
 
 
 class MovingBlock(Setting[MovingBlockConfig]):

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from .model import Portion
-
-Array = NDArray[np.float64]
+from ..arrays import Array
+from ..model import Portion
 
 
 @njit(cache=True)

@@ -9,20 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from .moving_block_config import FixedBlockSignalling, MovingBlockConfig
-from .moving_block_control import Control, authority_end, follow_acceleration, next_speed
-from .moving_block_track import StadiumTrack, place, project
-from .randomness import Streams
-from .world import Event, Step
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from ..arrays import Array, Index, Mask
+from ..randomness import Streams
+from ..world import Event, Step
+from .config import FixedBlockSignalling, MovingBlockConfig
+from .control import Control, authority_end, follow_acceleration, next_speed
+from .track import StadiumTrack, place, project
 
 
-class Line(NamedTuple):
+class Course(NamedTuple):
     """Track and trains as the compiled step needs them, SI units. accelerate: the leader's and the follower's."""
 
     half: float
@@ -54,9 +50,9 @@ class Memory(NamedTuple):
     moved: Array
     counted: Array
     measured: Array
-    waits: Counts
-    stop: Counts
-    passed: Counts
+    waits: Index
+    stop: Index
+    passed: Index
     arrived: Array
     tails: Array
 
@@ -161,7 +157,7 @@ class TwoTrains:
                                rules.margin, fixed,
                                min(trains.top_speed, signalling.line_speed) if fixed else trains.top_speed, self.period)
         leader = rules.leader_ratio * rules.braking
-        self.line = Line(
+        self.line = Course(
             track.half, track.radius, length, length / plant.track.stations, signalling.overlap if fixed else 0.0,
             round(signalling.release_delay / self.period) if fixed else 0, trains.length,
             max(round(trains.dwell / self.period), 1), trains.stop_tolerance,
@@ -250,7 +246,7 @@ class TwoTrains:
         self._truth, self._under_way = truth, np.repeat(np.isnan(self.lap_times), 2, axis=0)
         return Step(u, self._events(share, tag, self.heard[k]), truth, self.active.copy(), self._under_way)
 
-    def _events(self, share: Array, tag: Counts, heard: Mask) -> tuple[Event, ...]:
+    def _events(self, share: Array, tag: Index, heard: Mask) -> tuple[Event, ...]:
         """Up to two readings, as far as they are heard (4, S), and the rest of the step.
 
         A run without a (second) reading goes through it with what is left of its step first and portions of exactly

@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from .units import KMH
-
-Array = NDArray[np.float64]
+from ..arrays import Array
+from ..units import KMH
 
 GRAVITY = 9.81
 

@@ -14,9 +14,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PositiveFloat, WithJsonSchema, field_validator, model_validator
 
-from .metro_plant import GRAVITY, Forces, Slope, slope_grid
-from .schema import Strict
-from .units import ACCELERATIONS, FORCES, KMH, LENGTHS, MASSES, POWERS, SHARES, SLOPES, SPEEDS
+from ..schema import Strict
+from ..units import ACCELERATIONS, FORCES, KMH, LENGTHS, MASSES, POWERS, SHARES, SLOPES, SPEEDS
+from .dynamics import GRAVITY, Forces, Slope, slope_grid
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Powers = Annotated[list[float], Field(min_length=5, max_length=5)]

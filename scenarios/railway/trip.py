@@ -13,12 +13,12 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
+from ..arrays import Array
+from ..schema import Strict
+from ..units import KMH
+from .dynamics import GRAVITY, climb, effect, level, share
 from .line import Line, Train
-from .metro_plant import GRAVITY, climb, effect, level, share
-from .schema import Strict
-from .units import KMH
 
-Array = NDArray[np.float64]
 
 class Controller(Strict):
     """Automatic train operation. margin m/s: how far under each limit the reference speed stays.
@@ -107,7 +107,7 @@ class Reference:
         return min(found)
 
 
-def check(line: Line, train: Train, controller: Controller, w_bar: float, start_speed: float) -> None:
+def check_trip(line: Line, train: Train, controller: Controller, w_bar: float, start_speed: float) -> None:
     """Raise ValueError where this train cannot make this trip: limits, climbing, braking."""
     if train.max_speed <= controller.margin:
         raise ValueError(f"the train's top speed of {train.max_speed:.2f} m/s (plant.train.max_speed) is not above the "

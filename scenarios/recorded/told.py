@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat
 
-from . import metro_plant
-from .metro_plant import Forces, Slope
-from .model import Bounds, DesignModel, Linear, Portion, product
-from .schema import Strict
+from ..arrays import Array
+from ..model import Bounds, DesignModel, Linear, Portion, product
+from ..railway import dynamics as metro_plant
+from ..railway.dynamics import Forces, Slope
+from ..schema import Strict
 
-Array = NDArray[np.float64]
 UNITS = {"position": "m", "speed": "m/s", "odometer": "m"}
 
 

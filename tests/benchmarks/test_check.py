@@ -9,7 +9,7 @@ from railstate.benchmarks.conformance import check
 from railstate.benchmarks.conformance.rules import RULES
 from railstate.estimators.registry import estimators
 
-from .conftest import Command
+from ..conftest import Command
 
 TEMPLATE = '''
 import random as everyone

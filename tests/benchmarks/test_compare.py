@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from railstate.benchmarks.comparison import FINISHED, between_estimators, between_folders
-from railstate.benchmarks.store import Store
+from railstate.benchmarks.judging.comparison import FINISHED, between_estimators, between_folders
+from railstate.benchmarks.store.folder import Store
 from scipy import stats
 
-from .conftest import Command
+from ..conftest import Command
 
 PLUGIN = '''
 import numpy as np

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from railstate.benchmarks.commands.report import plot
-from railstate.benchmarks.figures.axes import MARKERS, Scale, spanning, tick_text
-from railstate.benchmarks.figures.canvas import DARK, LIGHT, Canvas
-from railstate.benchmarks.figures.catalogue import FIGURES, drawn
-from railstate.benchmarks.figures.data import Curve, Results, assign_styles, load_results
-from railstate.benchmarks.figures.errors import binned_rms
-from railstate.benchmarks.figures.ranks import rank_over_variants
+from railstate.benchmarks.telling.figures.axes import MARKERS, Scale, spanning, tick_text
+from railstate.benchmarks.telling.figures.canvas import DARK, LIGHT, Canvas
+from railstate.benchmarks.telling.figures.catalogue import FIGURES, drawn
+from railstate.benchmarks.telling.figures.data import Curve, Results, assign_styles, load_results
+from railstate.benchmarks.telling.figures.errors import binned_rms
+from railstate.benchmarks.telling.figures.ranks import rank_over_variants
 from railstate.scenarios.errors import InputError
 
-from .synthetic_results import BRAKING, CBTC, METRO, PERIOD, RUNS, write_results
+from ..synthetic_results import BRAKING, CBTC, METRO, PERIOD, RUNS, write_results
 
 SERIES = {LIGHT[f"c{i}"] for i in range(8)}
 

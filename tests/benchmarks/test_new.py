@@ -11,10 +11,10 @@ import pytest
 from railstate.estimators import registry as estimator_registry
 from railstate.scenarios import registry as scenario_registry
 
-from .conftest import SCENARIO, Command
-from .fresh import Fresh
+from ..conftest import SCENARIO, Command
+from ..fresh import Fresh
 
-EXTERNAL = Path(__file__).parent / "external_package"
+EXTERNAL = Path(__file__).parents[1] / "external_package"
 
 
 def test_packages_work_in_a_fresh_environment(railstate: Command, tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_packages_work_in_a_fresh_environment(railstate: Command, tmp_path: Path
 
 def test_the_ten_minutes_of_the_readme_as_printed(tmp_path: Path) -> None:
     """Its files are written under the names the text gives them, its commands run one after the other."""
-    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     section = text.split("## Your estimator in ten minutes\n")[1].split("\n## ")[0]
     fresh = Fresh(tmp_path / "environment", tmp_path)
     said = ""
@@ -115,7 +115,7 @@ def test_a_plug_in_that_does_not_import_costs_a_warning(
     (site / "broken_here.py").write_text("raise RuntimeError('not today')\n")
     (site / "broken-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
     (site / "broken-1.0.dist-info" / "entry_points.txt").write_text(
-        "[railstate.estimators]\nsulking = broken_here:Sulking\nnameless = railstate.estimators.simple:Nobody\n"
+        "[railstate.estimators]\nsulking = broken_here:Sulking\nnameless = railstate.estimators.baselines:Nobody\n"
         "[railstate.scenarios]\nmissing = nowhere_at_all:Missing\n")
     monkeypatch.syspath_prepend(site)
     caches = (estimator_registry._registered, scenario_registry.settings, scenario_registry.scenario_files)
@@ -128,6 +128,6 @@ def test_a_plug_in_that_does_not_import_costs_a_warning(
     assert sorted(done.err.splitlines()) == [
         "warning: plug-in missing (nowhere_at_all:Missing) is left out: ModuleNotFoundError: No module named "
         "'nowhere_at_all'",
-        "warning: plug-in nameless (railstate.estimators.simple:Nobody) is left out: AttributeError: module "
-        "'railstate.estimators.simple' has no attribute 'Nobody'",
+        "warning: plug-in nameless (railstate.estimators.baselines:Nobody) is left out: AttributeError: module "
+        "'railstate.estimators.baselines' has no attribute 'Nobody'",
         "warning: plug-in sulking (broken_here:Sulking) is left out: RuntimeError: not today"]

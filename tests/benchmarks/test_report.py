@@ -11,18 +11,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from railstate.benchmarks import statistics as st
-from railstate.benchmarks import verdicts, wording
 from railstate.benchmarks.commands.report import report
-from railstate.benchmarks.figures.data import Results, load_results
-from railstate.benchmarks.paragraphs import paragraph
-from railstate.benchmarks.report import write_report
-from railstate.benchmarks.report.table import Entry, contest_table, failures, table
-from railstate.benchmarks.store import Store
+from railstate.benchmarks.judging import contests, verdicts
+from railstate.benchmarks.judging import statistics as st
+from railstate.benchmarks.store.folder import Store
+from railstate.benchmarks.telling import sayings, wording
+from railstate.benchmarks.telling.figures.data import Results, load_results
+from railstate.benchmarks.telling.paragraphs import paragraph
+from railstate.benchmarks.telling.report import write_report
+from railstate.benchmarks.telling.report.table import Entry, contest_table, failures, table
 from railstate.scenarios.errors import InputError
 from scipy import stats
 
-from .synthetic_results import BRAKING, CBTC, METRO, RUNS, write_results
+from ..synthetic_results import BRAKING, CBTC, METRO, RUNS, write_results
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +118,7 @@ def test_failures_carry_the_line_that_replays_them(results: Results) -> None:
 
 
 def test_short_verdicts_of_the_terminal(results: Results) -> None:
-    short = verdicts.short_verdicts(results.rows, results.manifest)
+    short = sayings.short_verdicts(results.rows, results.manifest)
     assert short["ningbo-metro", "switching", "ekf"] == "best"
     assert short["ningbo-metro", "switching", "ukf"] == "tie"
     assert re.fullmatch(r"(4\.\d|3\.9)( to 4\.\d)? times; too sure \(ANEES 9\.\d+\)",
@@ -129,13 +130,13 @@ def test_short_verdicts_of_the_terminal(results: Results) -> None:
 
 
 def test_headlines_say_where_the_robust_estimator_wins_and_where_not(results: Results) -> None:
-    lines = verdicts.headlines(results.rows, results.manifest, "ningbo-metro")
+    lines = sayings.headlines(results.rows, results.manifest, "ningbo-metro")
     assert len(lines) == 2 * 3 * 2
     line = next(text for text in lines if "robust-mean-square against ekf, position" in text)
     assert re.search(r"better in 1 of 3 variants \(constant −(19|20|21) % \[−\d+, −\d+\], 100 % of runs\), "
                      r"worse in 2 \(switching \+\d+ %, white \+\d+ %\)$", line)
     assert not [text for text in lines if "ukf" in text]
-    duels = contest_table(verdicts.robust_contests(results.rows, results.manifest, "ningbo-metro"))
+    duels = contest_table(contests.robust_contests(results.rows, results.manifest, "ningbo-metro"))
     assert [head for head, _ in duels.heads] == ["better in", "switching", "white", "constant"]
     assert len(duels.lines) == 12
     entries = next(line.entries for line in duels.lines

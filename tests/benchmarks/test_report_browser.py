@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from railstate.benchmarks.figures.catalogue import drawn
-from railstate.benchmarks.figures.data import load_results
-from railstate.benchmarks.report import write_report
+from railstate.benchmarks.telling.figures.catalogue import drawn
+from railstate.benchmarks.telling.figures.data import load_results
+from railstate.benchmarks.telling.report import write_report
 
-from .synthetic_results import write_results
+from ..synthetic_results import write_results
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from railstate.benchmarks.published import reproduce as engine
-from railstate.benchmarks.published.reproduce import Published, judge, papers
+from railstate.benchmarks.published.reproduce import Published, papers, reproduce_cell
 from railstate.benchmarks.published.rows import Book, ratio
 
-from .conftest import Command
+from ..conftest import Command
 
-COMMITTED = Path(__file__).parents[1] / "results" / "published" / "published.csv"
+COMMITTED = Path(__file__).parents[2] / "results" / "published" / "published.csv"
 ROWS = pd.DataFrame({"scenario": "s", "variant": "v", "estimator": "e", "run": range(25), "seconds": 0.1,
                      "mae:x:m": np.tile([0.9, 1.0, 1.1, 1.0, 1.0], 5)})  # mean 1.0, s.d. 0.0645, s.e. 0.0129
 
@@ -46,14 +46,14 @@ def cell(**changes: object) -> Published:
      "contradicts its text"),
 ])
 def test_verdicts(changes: dict[str, object], verdict: str) -> None:
-    assert judge(cell(**changes), Book(ROWS)).verdict == verdict
+    assert reproduce_cell(cell(**changes), Book(ROWS)).verdict == verdict
 
 
 @pytest.mark.parametrize(("changes", "decided"), [
     ({"absolute": 0.05}, True), ({"published": 1.05, "absolute": 0.02}, False), ({"published": 1.2}, True),
     ({"published": "< 1", "at_most": 1.0}, False), ({"published": "< 1.1", "at_most": 1.1}, True)])
 def test_what_more_runs_could_turn_is_not_decided(changes: dict[str, object], decided: bool) -> None:
-    assert judge(cell(**changes), Book(ROWS)).decided == decided
+    assert reproduce_cell(cell(**changes), Book(ROWS)).decided == decided
 
 
 def test_ratios_are_of_the_runs_that_both_finished() -> None:
@@ -79,7 +79,7 @@ def test_every_cell_says_why_and_what_is_missing() -> None:
 
 def test_committed_table_is_the_one_of_these_files() -> None:
     table = pd.read_csv(COMMITTED)
-    assert tuple(table.columns) == engine.COLUMNS
+    assert tuple(table.columns) == engine.PUBLISHED_COLUMNS
     expected = [(paper.name, item.item, item.cell, item.expected) for paper in papers() for item in paper.cells]
     assert list(table[["paper", "item", "cell", "expected"]].itertuples(index=False, name=None)) == expected
     assert (table["verdict"] == table["expected"]).all()

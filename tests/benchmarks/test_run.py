@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from railstate.benchmarks.batch import Store
-from railstate.benchmarks.figures.canvas import LIGHT
-from railstate.benchmarks.store import TIMING
-from railstate.benchmarks.summary import COLUMNS as SUMMARY
+from railstate.benchmarks.judging.summary import SUMMARY_COLUMNS as SUMMARY
+from railstate.benchmarks.scoring.columns import TIMING
+from railstate.benchmarks.studies.complete import Store
+from railstate.benchmarks.telling.figures.canvas import LIGHT
 
-from .conftest import Command
+from ..conftest import Command
 
 CART = ("run", "cart.toml", "--plugin", "half.py")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from railstate.benchmarks.scoring import Scorer
-from railstate.benchmarks.scoring_kernels import lane_sum, quadratic_forms
+from railstate.benchmarks.scoring.kernels import lane_sum, quadratic_forms
+from railstate.benchmarks.scoring.scorer import Scorer
 from railstate.estimators.interface import Estimate, Status
 from railstate.scenarios.setting import Quantity
 from railstate.scenarios.world import Step

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 
 import pytest
-from railstate.benchmarks.speed import COMPARISONS, cars, compare, metro, particles, robust
+from railstate.benchmarks.speed import COMPARISONS, cars, metro, particles, race, robust
 
-from .conftest import Command
+from ..conftest import Command
 
 SMALL = {"metro": (metro, {"RUNS": 12, "STEPS": 30}, 2e-8), "cars": (cars, {"STEPS": 25}, 1e-9),
          "robust": (robust, {"RUNS": 5, "STEPS": 10, "PEER_STEPS": 8}, 1e-5),
@@ -23,7 +23,7 @@ def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPa
     module, sizes, apart = SMALL[name]
     for constant, size in sizes.items():
         monkeypatch.setattr(module, constant, size)
-    lines = compare(name, 1)
+    lines = race(name, 1)
     assert lines
     for line in lines:
         assert float(line["estimates differ by"]) < apart, line

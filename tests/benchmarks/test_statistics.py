@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from railstate.benchmarks import statistics as st
+from railstate.benchmarks.judging import ranks
+from railstate.benchmarks.judging import statistics as st
 from scipy import stats
 
 
@@ -126,7 +127,7 @@ def test_false_alarms_of_the_whole_rule_stay_under_the_level(rng: np.random.Gene
 
 def test_friedman_ranks_and_p_agree_with_scipy(rng: np.random.Generator) -> None:
     errors = rng.gamma(4, size=(50, 4)) * np.array([1, 1.2, 1.5, 1.5])
-    found = st.friedman(np.vstack([errors, [np.nan, 1, 1, 1]]))
+    found = ranks.friedman(np.vstack([errors, [np.nan, 1, 1, 1]]))
     assert found.n == 50
     assert found.p == pytest.approx(stats.friedmanchisquare(*errors.T).pvalue, rel=1e-12)
     assert found.mean == pytest.approx(stats.rankdata(errors, axis=1).mean(0))
@@ -136,8 +137,8 @@ def test_friedman_ranks_and_p_agree_with_scipy(rng: np.random.Generator) -> None
 def test_cliques_join_the_equal_and_part_the_different(rng: np.random.Generator) -> None:
     base = rng.gamma(20, size=(200, 1))
     noise = rng.lognormal(0, 0.1, (200, 4))
-    found = st.friedman(base * noise * np.array([[2.0, 1.0, 2.0, 1.0]]))
+    found = ranks.friedman(base * noise * np.array([[2.0, 1.0, 2.0, 1.0]]))
     assert sorted(tuple(sorted(clique)) for clique in found.cliques) == [(0, 2), (1, 3)]
-    twins = st.friedman(np.column_stack([base[:, 0], base[:, 0] * 1.001, base[:, 0] * 3]))
+    twins = ranks.friedman(np.column_stack([base[:, 0], base[:, 0] * 1.001, base[:, 0] * 3]))
     assert [sorted(clique) for clique in twins.cliques] == [[0, 1]]
-    assert st.friedman(np.ones((1, 3))).cliques == []
+    assert ranks.friedman(np.ones((1, 3))).cliques == []

@@ -28,7 +28,7 @@ from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.state import GaussianState, State
 from stonesoup.updater.kalman import KalmanUpdater
 
-from . import models
+from .. import models
 
 PRINTED = {"alpha": 1e-3, "beta": 2.0, "kappa": 0.0}
 PAIRS: dict[str, tuple[Estimator, Estimator, float]] = {

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from railstate.estimators.baselines import DeadReckoning, Direct, Truth
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.kalman import ExtendedKalman, Kalman
 from railstate.estimators.particle import BootstrapParticle
-from railstate.estimators.simple import DeadReckoning, Direct, Truth
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.model import DesignModel, Linear
 
-from . import models
-from .models import Record
+from .. import models
+from ..models import Record
 
 C = np.array([[2.0, 0.0], [0.0, -0.5]])
 

@@ -15,8 +15,8 @@ from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
 from railstate.scenarios.errors import Infeasible, Unsupported
 from railstate.scenarios.model import DesignModel
 
-from . import models
-from .models import Array, Record
+from .. import models
+from ..models import Array, Record
 
 Make = Callable[[], Estimator]
 FAMILY: dict[str, Make] = {

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from railstate.estimators import kernels
-from railstate.estimators.kernels_kalman import kalman_update, shared_kalman_update
+from railstate.estimators.kernels import core as kernels
+from railstate.estimators.kernels.kalman import kalman_update, shared_kalman_update
 from railstate.scenarios.model import product
 
 Array = NDArray[np.float64]

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.estimators.imm import InteractingMultipleModel, KnownParameterKalman
+from railstate.estimators import mode_grid as transitions
 from railstate.estimators.interface import Estimator, Status
-from railstate.estimators.stochastic_m import transition as transitions
-from railstate.scenarios.braking import Braking
+from railstate.estimators.multiple_model.imm import InteractingMultipleModel
+from railstate.estimators.multiple_model.oracle import KnownParameterKalman
+from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.model import DesignModel

@@ -10,17 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import drive, prepare
-from railstate.estimators.random_access import ConditionalRandomAccess, RandomAccess, covariance_sequence
+from railstate.benchmarks.running.drive import drive, prepare
+from railstate.estimators.random_access.covariance import covariance_sequence
+from railstate.estimators.random_access.estimators import ConditionalRandomAccess, RandomAccessFilter
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
-from railstate.scenarios.linear_system import LinearConfig, LinearSystem
+from railstate.scenarios.linear.config import LinearConfig
+from railstate.scenarios.linear.setting import LinearSystem
 from railstate.scenarios.randomness import Streams
 from scipy import stats
 
-from .linear_plants import PLANTS, plant
+from ..linear_plants import PLANTS, plant
 
-BOTH = [RandomAccess, ConditionalRandomAccess]
+BOTH = [RandomAccessFilter, ConditionalRandomAccess]
 
 plants = pytest.mark.parametrize("shape", PLANTS.values(), ids=PLANTS)
 
@@ -142,9 +144,9 @@ def test_gains_prepared_by_the_design_serve_any_order_of_events():
     setting = plant(3, [[0, 2], [1]], seed=11)
     streams = Streams(1, "trial", "default", range(4))
     world = setting.world(streams)
-    designed, model = prepare(setting, RandomAccess, {}, {}, world.initial_mean)
+    designed, model = prepare(setting, RandomAccessFilter, {}, {}, world.initial_mean)
     designed.design(model)
-    fresh = RandomAccess()
+    fresh = RandomAccessFilter()
     for _ in range(2):
         for filter_ in (designed, fresh):
             filter_.start(model, 4, streams("estimator", "trial"))
@@ -195,7 +197,7 @@ def test_another_channel_is_refused(kind):
 
 def test_a_broken_step_is_refused():
     setting = plant(2, [[0], [1]])
-    estimator, model = prepare(setting, RandomAccess, {}, {}, np.zeros((2, 1)))
+    estimator, model = prepare(setting, RandomAccessFilter, {}, {}, np.zeros((2, 1)))
     estimator.start(model, 1, Streams(1, "trial", "default", [0])("estimator", "trial"))
     with pytest.raises(Unsupported, match="whole sampling periods"):
         estimator.predict(np.zeros((0, 1)), 0.5)
@@ -207,7 +209,7 @@ def test_a_covariance_that_overflows_is_a_failed_run():
     setting = LinearSystem(LinearConfig.model_validate(table))
     streams = Streams(1, "trial", "default", range(3))
     world = setting.world(streams)
-    estimator, model = prepare(setting, RandomAccess, {}, {}, world.initial_mean)
+    estimator, model = prepare(setting, RandomAccessFilter, {}, {}, world.initial_mean)
     with np.errstate(over="ignore", invalid="ignore"):
         driven = drive(setting, world, estimator, model, streams("estimator", "trial"))
     assert (driven.scored.status != 0).all()
@@ -240,5 +242,5 @@ def test_the_mean_square_is_trace_p_at_every_step(name, kind):
 @pytest.mark.parametrize("name", ["rap-example-1", "rap-example-2"])
 def test_the_conditional_filter_is_better(name):
     """Paired over runs, the loss in mean square is positive well beyond its 99 % interval."""
-    loss = (squared_errors(name, RandomAccess)[0] - squared_errors(name, ConditionalRandomAccess)[0]).mean(axis=0)
+    loss = (squared_errors(name, RandomAccessFilter)[0] - squared_errors(name, ConditionalRandomAccess)[0]).mean(axis=0)
     assert loss.mean() > stats.t.ppf(0.995, RUNS - 1) * loss.std(ddof=1) / math.sqrt(RUNS)

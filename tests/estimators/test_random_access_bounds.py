@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.estimators.random_access import RandomAccess, covariance_sequence
-from railstate.estimators.random_access_bounds import CovarianceBounds
+from railstate.estimators.random_access.bounds import CovarianceBounds
+from railstate.estimators.random_access.covariance import covariance_sequence
+from railstate.estimators.random_access.estimators import RandomAccessFilter
 from railstate.scenarios.files import load
-from railstate.scenarios.linear_system import LinearConfig, LinearSystem
+from railstate.scenarios.linear.config import LinearConfig
+from railstate.scenarios.linear.setting import LinearSystem
 
-from .linear_plants import PLANTS, bounds_of, example, plant
+from ..linear_plants import PLANTS, bounds_of, example, plant
 
 TABLE_I = np.array([
     [[0.582, -1.476], [1.059, -2.645], [0.216, 0.545]],
@@ -108,7 +110,7 @@ def test_design_tells_all_of_it():
     setting = load("rap-example-2").setting("corrected")
     model = setting.design_model({}, np.zeros((2, 1)))
     entry = setting.config.estimators["random-access"]
-    told = RandomAccess(entry.parameters).design(model)
+    told = RandomAccessFilter(entry.parameters).design(model)
     claim = told["claimed (30), (31)"]
     assert (claim["sigma"], claim["m"], claim["verdict"]) == (20.0, 2, "not verified")
     assert claim["least eigenvalue in (30)"] < claim["needed"] == 0.05
@@ -117,7 +119,7 @@ def test_design_tells_all_of_it():
     assert told["upper bound (26)"]["mu_1"] == pytest.approx(12.0978, abs=5e-5)
     np.testing.assert_allclose(told["gains"]["K_3"], covariance_sequence(model, 3)[0][2])
     with pytest.raises(ValueError, match="sigma and m go together"):
-        RandomAccess({"sigma": 20.0})
+        RandomAccessFilter({"sigma": 20.0})
 
 
 @pytest.mark.parametrize("source", ["rap-example-1", "rap-example-2", *PLANTS])

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import drive, prepare
-from railstate.benchmarks.store import Store
+from railstate.benchmarks.running.drive import drive, prepare
+from railstate.benchmarks.store.folder import Store
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.robust.estimators import RobustBounded, RobustEllipsoid, RobustMeanSquare
 from railstate.scenarios.errors import Unsupported
@@ -18,7 +18,7 @@ from railstate.scenarios.files import load
 from railstate.scenarios.model import Bounds, DesignModel, Linear, linear_model
 from railstate.scenarios.randomness import RunRandom, Streams
 
-from .conftest import Command
+from ..conftest import Command
 
 FAMILY = [RobustBounded, RobustEllipsoid, RobustMeanSquare]
 T = 0.5

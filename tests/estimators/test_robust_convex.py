@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import prepare
+from railstate.benchmarks.running.drive import prepare
 from railstate.estimators.interface import Status
 from railstate.estimators.robust.convex import BoundedProblem, RecursiveProblem, Solution
 from railstate.estimators.robust.estimators import RobustBounded, RobustEllipsoid, RobustMeanSquare

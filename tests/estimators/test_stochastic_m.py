@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import Driven, drive
-from railstate.estimators.imm import InteractingMultipleModel, KnownParameterKalman
+from railstate.benchmarks.running.drive import Driven, drive
+from railstate.estimators import mode_grid as transitions
 from railstate.estimators.interface import Estimator, Status
+from railstate.estimators.kernels.modes import exponentials, normalise
+from railstate.estimators.multiple_model.imm import InteractingMultipleModel
+from railstate.estimators.multiple_model.oracle import KnownParameterKalman
 from railstate.estimators.reference.particle_loop import particle_loop
-from railstate.estimators.stochastic_m import transition as transitions
 from railstate.estimators.stochastic_m.estimators import GroupStochasticM, RaoBlackwellizedParticle, StochasticM
-from railstate.estimators.stochastic_m.select import exponentials, heaviest, normalise, systematic
-from railstate.scenarios.braking import Braking
+from railstate.estimators.stochastic_m.select import heaviest, systematic
+from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.model import DesignModel, Modes

@@ -9,9 +9,13 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from railstate.estimators import design_cache, lmi, lmi_decay
-from railstate.estimators.lmi import Certificate, ErrorSystem
-from railstate.estimators.ultimate_bound import FastestDecay, FixedGain, UltimateBound, error_system, read_gain
+from railstate.estimators import design_cache
+from railstate.estimators.ultimate_bound import decay as lmi_decay
+from railstate.estimators.ultimate_bound import lmi
+from railstate.estimators.ultimate_bound.estimators import FastestDecay, FixedGain, UltimateBound
+from railstate.estimators.ultimate_bound.gains import read_gain
+from railstate.estimators.ultimate_bound.lmi import Certificate, ErrorSystem
+from railstate.estimators.ultimate_bound.system import error_system
 from railstate.scenarios.errors import Infeasible, InputError, Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.model import DesignModel
@@ -170,13 +174,13 @@ def test_fastest_decay_is_the_edge() -> None:
 
 
 def test_an_inaccurate_solution_is_no_design(monkeypatch: pytest.MonkeyPatch) -> None:
-    solve = lmi.solve
+    solve = lmi.solve_problem
 
     def inaccurate(problem: Any, solver: str) -> str:
         status = solve(problem, solver)
         return "optimal_inaccurate" if status == "optimal" else status
 
-    monkeypatch.setattr(lmi, "solve", inaccurate)
+    monkeypatch.setattr(lmi, "solve_problem", inaccurate)
     with pytest.raises(Infeasible, match=r"no trustworthy certificate at theta = 0.98.*optimal_inaccurate.*\(23\)"):
         lmi.ultimate_bound(system(), 0.98)
 

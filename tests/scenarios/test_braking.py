@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import drive, prepare
-from railstate.estimators.imm import KnownParameterKalman
+from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.kalman import ExtendedKalman, Kalman
-from railstate.scenarios.braking import Braking
-from railstate.scenarios.braking_plant import discretise
+from railstate.estimators.multiple_model.oracle import KnownParameterKalman
+from railstate.scenarios.braking.plant import discretise
+from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import drive, prepare
+from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.registry import estimators
-from railstate.scenarios.coupled_cars import CoupledCars
-from railstate.scenarios.coupled_cars_plant import largest_force, matrices, simulate
+from railstate.scenarios.coupled_cars.plant import largest_force, matrices, simulate
+from railstate.scenarios.coupled_cars.setting import CoupledCars
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from railstate.scenarios.errors import InputError
-from railstate.scenarios.expressions import expression
 from railstate.scenarios.files import load, parse
-from railstate.scenarios.linear_system import LinearConfig, LinearSystem
-from railstate.scenarios.matrices import at_step
+from railstate.scenarios.linear.config import LinearConfig
+from railstate.scenarios.linear.expressions import expression
+from railstate.scenarios.linear.matrices import at_step
+from railstate.scenarios.linear.setting import LinearSystem
 from railstate.scenarios.randomness import Streams
 
 TABLE: dict[str, Any] = {

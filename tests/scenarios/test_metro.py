@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from railstate.benchmarks.plan import find
+from railstate.benchmarks.planning.naming import find
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import Driven, drive, prepare
+from railstate.benchmarks.running.drive import Driven, drive, prepare
 from railstate.estimators.registry import estimators
 from railstate.scenarios.files import load
-from railstate.scenarios.moving_block import MovingBlock
-from railstate.scenarios.moving_block_trains import TwoTrains
+from railstate.scenarios.moving_block.setting import MovingBlock
+from railstate.scenarios.moving_block.trains import TwoTrains
 from railstate.scenarios.randomness import Streams
 
 LABELS = ("truth", "dead-reckoning", "ekf", "ukf", "ukf-printed", "ckf", "particle")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
-from railstate.scenarios.moving_block_control import (
+from railstate.scenarios.moving_block.control import (
     Control,
     authority_end,
     follow_acceleration,
     next_speed,
     speed_for_stop,
 )
-from railstate.scenarios.moving_block_track import StadiumTrack
+from railstate.scenarios.moving_block.track import StadiumTrack
 
 TRACK = StadiumTrack(straight=0.9, radius=0.5)
 LAW_P = Control(restoring=False, braking=1.6, limit=1.5, follow=1.6 * (math.sqrt(5) - 1) / 2, safe_gap=0.27, margin=0.0,

@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from railstate.benchmarks.drive import drive, prepare
+from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.interface import Estimate, Estimator
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
-from railstate.scenarios.line import Line, read_line, read_train
-from railstate.scenarios.metro_plant import GRAVITY, climb, level
+from railstate.scenarios.railway.dynamics import GRAVITY, climb, level
+from railstate.scenarios.railway.line import Line, read_line, read_train
 from railstate.scenarios.randomness import Streams
 
 VARIANTS = ("switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")

@@ -7,7 +7,7 @@ from math import erf
 import numpy as np
 import pandas as pd
 import pytest
-from railstate.benchmarks.drive import drive, prepare
+from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load

@@ -9,7 +9,7 @@ import pytest
 from railstate.scenarios.files import load, merge
 from railstate.scenarios.registry import scenario_files
 
-from .conftest import SCENARIO, Command
+from ..conftest import SCENARIO, Command
 
 BAD = {
     "not-toml": ("name = ", "not valid TOML"),

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ....scenarios.arrays import Array
 from .canvas import FONT, Canvas, text_width
-
-Array = NDArray[np.float64]
 
 DASHES: tuple[tuple[float, ...], ...] = ((), (4.0, 1.6), (1.3, 1.3), (6.0, 1.5, 1.3, 1.5), (2.5, 2.5))
 MARKERS = ("circle", "square", "triangle", "diamond", "down")

@@ -6,12 +6,12 @@ import numpy as np
 
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
 
 
-def parameter_and_diversity(cell: Cell) -> Canvas | None:
+def parameter_and_diversity(cell: CellResults) -> Canvas | None:
     """Above: f and its estimates, averaged over all runs. Below: distinct values of f among the particles, first kept
     run."""
     labels = [label for label in cell.labels if (label, "f") in cell.curves and (label, "f") in cell.kept]

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from ....scenarios.arrays import Array
+
 Anchor = Literal["start", "middle", "end"]
 
 WIDTH = 252.0

@@ -9,7 +9,7 @@ from .braking import parameter_and_diversity
 from .canvas import Canvas
 from .channel import headway, receptions
 from .cost import accuracy_against_latency
-from .data import Cell, Results
+from .data import CellResults, Results
 from .errors import error_over_time, errors_per_run
 from .example import example_run
 from .metro import speed_profile
@@ -30,8 +30,8 @@ class Figure:
     name: str
     title: str
     caption: str
-    draw: Callable[[Cell], Canvas | None] | None = None
-    draw_all: Callable[[Sequence[Cell]], Canvas | None] | None = None
+    draw: Callable[[CellResults], Canvas | None] | None = None
+    draw_all: Callable[[Sequence[CellResults]], Canvas | None] | None = None
     kinds: tuple[str, ...] = ()
 
 
@@ -101,7 +101,7 @@ def drawn(results: Results, name: str | None = None) -> Iterator[tuple[Figure, s
                 yield from ((figure, scenario, variant, canvas) for variant, canvas in of_scenario(figure, cells))
 
 
-def of_scenario(figure: Figure, cells: Sequence[Cell]) -> Iterator[tuple[str, Canvas]]:
+def of_scenario(figure: Figure, cells: Sequence[CellResults]) -> Iterator[tuple[str, Canvas]]:
     """(variant, canvas) of one figure in a scenario; variant "" for a figure of the whole scenario."""
     if figure.kinds and cells[0].kind not in figure.kinds:
         return

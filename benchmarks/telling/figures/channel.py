@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..statistics import mean_interval
-from ..summary import metric_columns
+from ...judging.statistics import mean_interval
+from ...scoring.columns import metric_columns
 from .axes import Panel, Scale, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT
 
 WINDOWS = 60
 
 
-def receptions(cell: Cell) -> Canvas | None:
+def receptions(cell: CellResults) -> Canvas | None:
     """Share of packets that arrived in each window of the first kept run, and the longest wait in it."""
     track = cell.kept.get(("", "received"))
     if track is None:
@@ -39,7 +39,7 @@ def receptions(cell: Cell) -> Canvas | None:
     return canvas
 
 
-def headway(cell: Cell) -> Canvas | None:
+def headway(cell: CellResults) -> Canvas | None:
     """Headway time over speed, from each estimator's own largest position error, with 95 % intervals."""
     columns = [(float(quantity.rpartition("-")[2]), column) for column, metric, quantity, _ in metric_columns(cell.rows)
                if metric == "headway" and quantity.rpartition("-")[2].isdecimal()]

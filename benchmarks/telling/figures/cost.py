@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..statistics import mean_se, pooled_rmse
+from ...judging.statistics import mean_se, pooled_rmse
 from ..wording import metric_name
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT, bracket
 
 
-def accuracy_against_latency(cell: Cell) -> Canvas | None:
+def accuracy_against_latency(cell: CellResults) -> Canvas | None:
     """Error of the first judged quantities (at most two) over the latency of one step: marker at the median, line to
     the 99th percentile."""
     latency = {label: (values["latency_us_median"], values["latency_us_p99"]) for label, values in cell.timing.items()

@@ -13,17 +13,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from ...scenarios.registry import setting_for
-from ...scenarios.setting import Setting
-from ..store import Store
-from ..verdicts import Column, Judged, by_run, judge, judged_columns, oracle_labels
-from ..wording import shown_unit
+from ....scenarios.arrays import Array
+from ....scenarios.registry import setting_for
+from ....scenarios.setting import Setting
+from ...judging.verdicts import Column, Judged, by_run, judge, judged_columns, oracle_labels
+from ...scoring.columns import shown_unit
+from ...store.folder import Store
 from .axes import DASHES, MARKERS, Style
 from .canvas import COLOURS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Track:
+class Kept:
     """One kept trajectory of one named quantity: time (K,), truth, estimate, claimed standard deviation."""
 
     time: Array
@@ -48,7 +46,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Cell:
+class CellResults:
     """One variant of one scenario. curves: by (estimator, quantity). kept: by (estimator, name) of the first kept run,
     estimator "" for the truth's own. kind: the plant's. about: the scenario's part of the manifest."""
 
@@ -60,7 +58,7 @@ class Cell:
     runs: int
     rows: pd.DataFrame
     curves: Mapping[tuple[str, str], Curve]
-    kept: Mapping[tuple[str, str], Track]
+    kept: Mapping[tuple[str, str], Kept]
     timing: Mapping[str, Mapping[str, float]]
     styles: Mapping[str, Style]
     oracles: frozenset[str]
@@ -120,7 +118,7 @@ class Results:
     folder: Path
     manifest: Mapping[str, Any]
     rows: pd.DataFrame
-    scenarios: Mapping[str, Sequence[Cell]]
+    scenarios: Mapping[str, Sequence[CellResults]]
     styles: Mapping[str, Style]
 
 
@@ -132,12 +130,12 @@ def load_results(folder: str | Path) -> Results:
     kept = _kept(store.trajectories())
     timing = _timing(store.timing())
     styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
-    scenarios: dict[str, list[Cell]] = {}
+    scenarios: dict[str, list[CellResults]] = {}
     for (scenario, variant), part in rows.groupby(["scenario", "variant"], sort=False):
         key = (str(scenario), str(variant))
         about = manifest["scenarios"][key[0]]
         table = manifest["replay"]["cells"]["/".join(key)]["table"]
-        scenarios.setdefault(key[0], []).append(Cell(
+        scenarios.setdefault(key[0], []).append(CellResults(
             *key, about["kind"], about, table, int(manifest["configuration"]["runs"]),
             part.dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
             timing.get(key, {}), styles, frozenset(oracle_labels(manifest, *key))))
@@ -169,11 +167,11 @@ def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], 
             _split(frame, "quantity", ("time", "active", "squared", "fourth", "error")).items()}
 
 
-def _kept(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[tuple[str, str], Track]]:
+def _kept(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[tuple[str, str], Kept]]:
     if frame is None:
         return {}
     first = frame.loc[frame["run"] == frame["run"].min()]
-    return {cell: {key: Track(*columns) for key, columns in parts.items()} for cell, parts in
+    return {cell: {key: Kept(*columns) for key, columns in parts.items()} for cell, parts in
             _split(first, "name", ("time", "truth", "estimate", "sd")).items()}
 
 

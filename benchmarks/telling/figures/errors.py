@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..statistics import finite
+from ....scenarios.arrays import Array
+from ...judging.statistics import finite
 from ..wording import metric_name
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas, text_width
-from .data import Array, Cell, Curve
+from .data import CellResults, Curve
 
 MOST, CROWD = 3, 8
 BINS = 130
@@ -41,7 +42,7 @@ def binned_rms(curve: Curve) -> tuple[Array, Array, Array, Array]:
     return time, root, np.maximum(root - half, 0.0), root + half
 
 
-def error_over_time(cell: Cell) -> Canvas | None:
+def error_over_time(cell: CellResults) -> Canvas | None:
     """Root mean square error over the runs at each instant, per estimator and quantity; with 95 % bands for up to
     `CROWD` estimators."""
     units = cell.quantity_units()
@@ -77,7 +78,7 @@ def label_room(labels: list[str]) -> float:
     return min(8 + max(text_width(label) for label in labels), 0.5 * WIDTH)
 
 
-def errors_per_run(cell: Cell) -> Canvas | None:
+def errors_per_run(cell: CellResults) -> Canvas | None:
     """Each estimator's errors per run as a box (quartiles, median), whiskers (5 % to 95 %) and extremes (dots)."""
     labels = cell.labels
     columns = cell.judged[:MOST if len(labels) <= CROWD else MOST - 1]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..wording import some
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import LEFT, MOST, RIGHT, bracket
 
 POINTS = 260
@@ -21,7 +21,7 @@ def thinned(length: int, most: int = POINTS) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, length - 1, min(most, length)).astype(np.intp)) if length else np.zeros(0, np.intp)
 
 
-def example_run(cell: Cell) -> Canvas | None:
+def example_run(cell: CellResults) -> Canvas | None:
     """Truth above, errors (estimate minus truth) below, for at most three quantities of the first kept run."""
     units = cell.quantity_units()
     names = [name for name in units if any(np.isfinite(track.truth).any() for (label, key), track in cell.kept.items()

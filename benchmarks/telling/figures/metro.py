@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ....scenarios.arrays import Array
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Array, Cell, Track
+from .data import CellResults, Kept
 from .errors import LEFT, RIGHT
 from .example import thinned
 
@@ -14,7 +15,7 @@ ROWS = (("gradient", "gradient [‰]", 1000.0), ("disturbance", "disturbance [m/
 """Extras drawn under the speed: name, title, factor."""
 
 
-def speed_profile(cell: Cell) -> Canvas | None:
+def speed_profile(cell: CellResults) -> Canvas | None:
     """Speed over position in the first kept run, with the estimate of the best and the worst estimator, the speed that
     was to be kept and the limit; below it those estimators' errors, the line's gradients and the disturbance that the
     estimators do not know."""
@@ -25,7 +26,7 @@ def speed_profile(cell: Cell) -> Canvas | None:
     at = place.truth / 1000.0
 
     def extra(name: str) -> Array | None:
-        track: Track | None = cell.kept.get(("", name))
+        track: Kept | None = cell.kept.get(("", name))
         return None if track is None else np.interp(place.time, track.time, track.truth)
 
     ends = _best_and_worst(cell, labels)
@@ -62,7 +63,7 @@ def speed_profile(cell: Cell) -> Canvas | None:
     return canvas
 
 
-def _best_and_worst(cell: Cell, labels: list[str]) -> list[str]:
+def _best_and_worst(cell: CellResults, labels: list[str]) -> list[str]:
     """Of the estimators with a kept run those of least and greatest judged speed error (one where it is the same)."""
     found = cell.judgements.get("speed", {})
     known = [label for label in labels if label in found and np.isfinite(found[label].value.value)] or labels[:1]
@@ -70,7 +71,7 @@ def _best_and_worst(cell: Cell, labels: list[str]) -> list[str]:
     return list(dict.fromkeys((min(known, key=error.__getitem__), max(known, key=error.__getitem__))))
 
 
-def _at(cell: Cell, label: str, place: Track) -> Array:
+def _at(cell: CellResults, label: str, place: Kept) -> Array:
     """An estimator's speed at the instants of the trip."""
     track = cell.kept[label, "speed"]
     return np.interp(place.time, track.time, track.estimate)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...scenarios.moving_block_track import StadiumTrack
+from ....scenarios.arrays import Array
+from ....scenarios.moving_block.track import StadiumTrack
 from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Array, Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
 
@@ -17,13 +18,13 @@ LEADER, FOLLOWER, TAG, TRUE = Style("c0"), Style("c1", (), "square"), Style("mut
 INSTANTS = 16
 
 
-def _shown(cell: Cell) -> str | None:
+def _shown(cell: CellResults) -> str | None:
     """The estimator whose run is drawn: the first Kalman-type one that kept a run, else the first that did."""
     kept = [label for label in cell.labels if (label, "s-a") in cell.kept]
     return next((label for label in kept if label in ("ukf", "ekf", "ckf")), kept[0] if kept else None)
 
 
-def track(cell: Cell) -> Canvas | None:
+def track(cell: CellResults) -> Canvas | None:
     """The track from above with its tags; at some instants where both trains' noses were, and where the encoder alone
     and a filter, each in its own loop, believed them to be."""
     names = dict.fromkeys(("dead-reckoning", _shown(cell) or ""))
@@ -65,9 +66,9 @@ def track(cell: Cell) -> Canvas | None:
     return canvas
 
 
-def trains_over_time(cells: Sequence[Cell]) -> Canvas | None:
+def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
     """Ways of both trains under moving block and under fixed block, first kept run of one filter."""
-    chosen: dict[str, Cell] = {}
+    chosen: dict[str, CellResults] = {}
     for cell in cells:
         kind = str(cell.table.get("plant", {}).get("signalling", {}).get("kind", ""))
         if kind and _shown(cell) and kind not in chosen:
@@ -94,7 +95,7 @@ def trains_over_time(cells: Sequence[Cell]) -> Canvas | None:
     return canvas
 
 
-def gap_over_time(cell: Cell) -> Canvas | None:
+def gap_over_time(cell: CellResults) -> Canvas | None:
     """The true gap in each estimator's own loop, first kept run, and the distance that must not be undercut."""
     labels = [label for label in cell.labels if (label, "gap") in cell.kept]
     if not labels:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...estimators.random_access_bounds import CovarianceBounds
+from ....estimators.random_access.bounds import CovarianceBounds
+from ....scenarios.arrays import Array
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Array, Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
 
 
-def covariance_bounds(cell: Cell) -> CovarianceBounds | None:
+def covariance_bounds(cell: CellResults) -> CovarianceBounds | None:
     """Theorems 2 to 4 for a variant, None where its channel is not random access."""
     config = cell.setting.config
     model = cell.setting.design_model({}, np.array(config.plant.x0, dtype=float)[:, None])
@@ -21,7 +22,7 @@ def covariance_bounds(cell: Cell) -> CovarianceBounds | None:
     return CovarianceBounds(model.linear, model.reception, model.initial_covariance[:, :, 0], config.time.steps)
 
 
-def trace_and_bounds(cell: Cell) -> Canvas | None:
+def trace_and_bounds(cell: CellResults) -> Canvas | None:
     """Trace of P over time in the first kept run, and nx times the bounds of its eigenvalues: (21) from below, from
     above the least sigma for which (30), (31) hold."""
     labels = [label for label in cell.labels if (label, "trace-covariance") in cell.kept]

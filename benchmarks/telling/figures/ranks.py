@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..statistics import Ranks, friedman
-from ..verdicts import COMPLETE
+from ...judging.ranks import Ranks, friedman
+from ...judging.verdicts import COMPLETE
 from .axes import Panel, Scale, draw_marker
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import MOST, label_room
 
 
-def rank_over_variants(cells: Sequence[Cell], quantity: str) -> tuple[list[str], Ranks] | None:
+def rank_over_variants(cells: Sequence[CellResults], quantity: str) -> tuple[list[str], Ranks] | None:
     """Estimators that all variants share and that finished nearly all runs, with their ranks over blocks (one block is
     one run of one variant; runs of different variants are independent). None where fewer than two are left."""
     blocks: list[dict[str, np.ndarray]] = []
@@ -34,7 +34,7 @@ def rank_over_variants(cells: Sequence[Cell], quantity: str) -> tuple[list[str],
     return labels, friedman(np.column_stack([stacked[label] for label in labels]))
 
 
-def critical_difference(cells: Sequence[Cell]) -> Canvas | None:
+def critical_difference(cells: Sequence[CellResults]) -> Canvas | None:
     """Mean ranks over all runs of all variants; bars join estimators that are not told apart."""
     names = list(dict.fromkeys(quantity for cell in cells for _, _, quantity, _ in cell.judged))[:MOST]
     found = {name: ranks for name in names if (ranks := rank_over_variants(cells, name)) and ranks[1].n > 1}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ....scenarios.arrays import Array
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Array, Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT, bracket
 from .example import thinned
 
@@ -14,7 +15,7 @@ BANDS = 2.0
 """Half the width of a band in claimed standard deviations."""
 
 
-def recorded_trip(cell: Cell) -> Canvas | None:
+def recorded_trip(cell: CellResults) -> Canvas | None:
     """Reference speed and estimates above; below, a panel an estimator, the position error of the first kept run with
     its claimed band. Grey: where readings are out."""
     units = cell.quantity_units()
@@ -52,7 +53,7 @@ def recorded_trip(cell: Cell) -> Canvas | None:
     return canvas
 
 
-def errors_by_outage(cell: Cell) -> Canvas | None:
+def errors_by_outage(cell: CellResults) -> Canvas | None:
     """Position error at the end of the outage over where it begins, all runs."""
     begin, error = "begin:outage:s", "rmse:position-outage-end:m"
     if begin not in cell.rows or error not in cell.rows or cell.rows[begin].nunique() < 3:
@@ -73,7 +74,7 @@ def errors_by_outage(cell: Cell) -> Canvas | None:
     return canvas
 
 
-def _outages(cell: Cell) -> list[tuple[float, float]]:
+def _outages(cell: CellResults) -> list[tuple[float, float]]:
     """(from, to) of the first kept run's outages, s."""
     track = cell.kept.get(("", "outage"))
     if track is None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..statistics import pooled_rmse
-from ..windows import window_columns
+from ...judging.statistics import pooled_rmse
+from ...scoring.columns import window_columns
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import LEFT, RIGHT, bracket
 
 
-def errors_by_section(cell: Cell) -> Canvas | None:
+def errors_by_section(cell: CellResults) -> Canvas | None:
     """Pooled RMSE of each quantity on each section, per estimator."""
     found = window_columns(cell.rows.columns, cell.about["quantities"])
     found = {name: columns for name, columns in found.items() if len(columns) > 1}

@@ -6,16 +6,16 @@ from collections import Counter
 
 import numpy as np
 
-from ..statistics import chi_square_interval
-from ..verdicts import bound_check, nees_states
+from ...judging.statistics import chi_square_interval
+from ...judging.verdicts import bound_check, nees_states
 from ..wording import counted
 from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
-from .data import Cell
+from .data import CellResults
 from .errors import BINS, LEFT, RIGHT, label_room
 
 
-def nees_over_time(cell: Cell) -> Canvas | None:
+def nees_over_time(cell: CellResults) -> Canvas | None:
     """NEES averaged over the runs at single steps, divided by the number of states, and the chi-square interval."""
     states = {str(label): nees_states(part) for label, part in cell.rows.groupby("estimator", sort=False)}
     labels = [label for label, n in states.items() if n and (label, "nees") in cell.curves]
@@ -46,7 +46,7 @@ def nees_over_time(cell: Cell) -> Canvas | None:
     return canvas
 
 
-def certified_against_measured(cell: Cell) -> Canvas | None:
+def certified_against_measured(cell: CellResults) -> Canvas | None:
     """Mean-square bounds that estimators certify (bars) beside the mean squares measured, with 95 % intervals."""
     found = {str(label): bound_check(part) for label, part in cell.rows.groupby("estimator", sort=False)}
     checks = {label: bound for label, bound in found.items() if bound}

@@ -1,6 +1,6 @@
 """Assembling the report from a results folder: head, one section a scenario, tables, figures, one HTML file.
 
-Everything comes from the rows, curves, kept runs, timing and manifest; nothing is computed anew."""
+Everything comes from the rows, curves, kept runs, timing and manifest; no run is computed again."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from .. import statistics as st
+from ...judging import statistics as st
+from ...judging.contests import robust_contests
+from ...store.folder import Store
 from ..figures.axes import Style, draw_marker
 from ..figures.canvas import DARK, LIGHT, Canvas
 from ..figures.catalogue import FIGURES, Figure, of_scenario
-from ..figures.data import Cell, Results, load_results
+from ..figures.data import CellResults, Results, load_results
 from ..paragraphs import paragraph
-from ..store import Store
-from ..verdicts import robust_contests
 from ..wording import counted, notes_of
 from .table import Failure, Table, contest_table, failures, table
 
@@ -71,7 +71,7 @@ def write_report(folder: str | Path) -> Path:
 
 def render(results: Results) -> str:
     """The page's HTML."""
-    here = files("railstate.benchmarks.report")
+    here = files("railstate.benchmarks.telling.report")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string(here.joinpath("page.jinja").read_text(encoding="utf-8"))
     colours = {name: "".join(f"--{key}:{value};" for key, value in palette.items())
@@ -116,7 +116,7 @@ def _period(started: str, finished: str | None) -> str:
     return f"{text}, took {seconds / 60:.0f} min" if seconds >= 120 else f"{text}, took {seconds:.0f} s"
 
 
-def section(results: Results, name: str, cells: Sequence[Cell]) -> Section:
+def section(results: Results, name: str, cells: Sequence[CellResults]) -> Section:
     """A scenario's part of the page."""
     by_variant: dict[str, list[Drawn]] = {cell.variant: [] for cell in cells}
     whole: list[Drawn] = []

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from .. import statistics as st
-from ..figures.data import Cell
-from ..summary import metric_columns
-from ..verdicts import Contest, Judged, bound_check, column_values, nees_states
+from ...judging import statistics as st
+from ...judging.contests import Contest
+from ...judging.verdicts import Judged, bound_check, column_values, nees_states
+from ...scoring.columns import metric_columns
+from ..figures.data import CellResults
 from ..wording import change_interval, counted, metric_name, number, percent, plus_minus, rough
 
 
@@ -30,7 +31,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A table line: the estimator, its note, its entries."""
 
     label: str
@@ -43,10 +44,10 @@ class Table:
     """Column heads (name, unit) and lines."""
 
     heads: list[tuple[str, str]]
-    lines: list[Line]
+    lines: list[TableLine]
 
 
-def table(cell: Cell) -> Table:
+def table(cell: CellResults) -> Table:
     """The table of a variant."""
     parts = {str(label): part for label, part in cell.rows.groupby("estimator", sort=False)}
     columns: list[tuple[tuple[str, str], Callable[[str, pd.DataFrame], Entry]]] = []
@@ -71,7 +72,7 @@ def table(cell: Cell) -> Table:
         columns.append((("throughput", "ns per run and step"),
                         lambda label, _: _time(cell, label, "throughput_ns", 1.0)))
         columns.append((("design", "s"), lambda label, _: _time(cell, label, "design_s", 0.001)))
-    lines = [Line(label, "oracle" if label in cell.oracles else "", [make(label, part) for _, make in columns])
+    lines = [TableLine(label, "oracle" if label in cell.oracles else "", [make(label, part) for _, make in columns])
              for label, part in parts.items()]
     return Table([head for head, _ in columns], lines)
 
@@ -81,10 +82,10 @@ def contest_table(challengers: Mapping[str, Mapping[tuple[str, str], Sequence[Co
     contests = [(challenger, f"{quantity}, against {rival}", {contest.variant: contest for contest in found})
                 for challenger, table in challengers.items() for (rival, quantity), found in table.items()]
     variants = list(dict.fromkeys(variant for _, _, found in contests for variant in found))
-    lines: list[Line] = []
+    lines: list[TableLine] = []
     for challenger, note, found in contests:
         better = sum(contest.verdict == "better" for contest in found.values())
-        lines.append(Line(challenger, note, [Entry(f"{better} of {len(found)}", "", better),
+        lines.append(TableLine(challenger, note, [Entry(f"{better} of {len(found)}", "", better),
                                              *(_contest(found.get(variant)) for variant in variants)]))
     return Table([("better in", "variants"), *((variant, "") for variant in variants)], lines)
 
@@ -96,7 +97,7 @@ def _contest(contest: Contest | None) -> Entry:
                  contest.found.relative, {"better": "good", "worse": "bad"}.get(contest.verdict, ""))
 
 
-def _outcomes(cell: Cell) -> list[tuple[str, str, str, str]]:
+def _outcomes(cell: CellResults) -> list[tuple[str, str, str, str]]:
     """Columns of the scenario's table that are neither judged errors nor claims."""
     judged = {column[1:3] for column in cell.judged}
     wanted = [tuple(pair) for pair in cell.about["table"]]
@@ -143,7 +144,7 @@ def _anees(part: pd.DataFrame) -> Entry:
                  found.value, {"too sure": "bad", "consistent": "good"}.get(word, ""))
 
 
-def _coverage(part: pd.DataFrame, cell: Cell) -> Entry:
+def _coverage(part: pd.DataFrame, cell: CellResults) -> Entry:
     inside = column_values(part, "coverage:ellipsoid:1")
     if not inside.size:
         return Entry("claims no set", kind="none")
@@ -178,7 +179,7 @@ def _failures(part: pd.DataFrame) -> Entry:
                  "bad" if count else "")
 
 
-def _latency(cell: Cell, label: str) -> Entry:
+def _latency(cell: CellResults, label: str) -> Entry:
     values = cell.timing.get(label, {})
     value = values.get("latency_us_p99", np.nan)
     if not np.isfinite(value):
@@ -189,7 +190,7 @@ def _latency(cell: Cell, label: str) -> Entry:
     return Entry(number(value), fits, value, "" if factor >= 1 else "bad")
 
 
-def _time(cell: Cell, label: str, name: str, least: float) -> Entry:
+def _time(cell: CellResults, label: str, name: str, least: float) -> Entry:
     """A time of timing.csv; under `least` it says only that."""
     value = cell.timing.get(label, {}).get(name, np.nan)
     if not np.isfinite(value):
@@ -206,7 +207,7 @@ class Failure:
     replay: str
 
 
-def failures(cell: Cell, folder: str) -> list[Failure]:
+def failures(cell: CellResults, folder: str) -> list[Failure]:
     """Every kind of failed run in a variant with its replay line."""
     out: list[Failure] = []
     bad = cell.rows[cell.rows["status"] != "ok"]

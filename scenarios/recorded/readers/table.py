@@ -12,11 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from .units import LENGTHS, SHARES, SPEEDS, TIMES
-
-Array = NDArray[np.float64]
+from ...arrays import Array
+from ...units import LENGTHS, SHARES, SPEEDS, TIMES
 
 ROLES = {"time": TIMES, "position": LENGTHS, "speed": SPEEDS, "odometer": LENGTHS, "control": SHARES,
          "reference_position": LENGTHS, "reference_speed": SPEEDS}

@@ -1,0 +1,35 @@
+"""A plan cut into tasks, what is done already left out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+
+from .plan import Plan, Task
+
+
+def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
+    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first."""
+    tasks: list[tuple[float, Task]] = []
+    for cell in plan.cells:
+        setting = cell.setting()
+        room = max(1, int(400e6 / max(setting.batch_bytes(), 1)))
+        share = plan.runs if len(plan.cells) >= 2 * jobs else -(-plan.runs // jobs)
+        size = batch or max(1, min(500, room, share))
+        missing: dict[tuple[str, ...], list[int]] = {}
+        for run in range(plan.runs):
+            labels = tuple(label for label in cell.entries if run not in done.get((cell.key, label), ()))
+            if labels:
+                missing.setdefault(labels, []).append(run)
+        for labels, runs in missing.items():
+            for first in range(0, len(runs), size):
+                block = tuple(runs[first:first + size])
+                weight = setting.batch_bytes() * len(block) * len(labels)
+                tasks.append((weight, Task(cell, labels, block, plan.seed, plan.keep, plan.plugins)))
+    return [task for _, task in sorted(tasks, key=lambda item: -item[0])]
+
+
+def task_name(task: Task) -> str:
+    """The name of a task's part in a folder."""
+    digest = hashlib.sha256("\0".join(task.labels).encode()).hexdigest()[:8]
+    return f"{task.cell.scenario}~{task.cell.variant}~{task.runs[0]:06d}-{task.runs[-1]:06d}~{digest}"

@@ -1,0 +1,1 @@
+"""Blocks of runs driven, scored, isolated, spread over processes and machines."""

@@ -1,0 +1,1 @@
+"""A results folder: parts written whole, the manifest, readers that check what they read."""

@@ -1,0 +1,1 @@
+"""Loops over runs: a plan carried through to a finished folder."""

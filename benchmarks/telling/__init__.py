@@ -1,0 +1,1 @@
+"""What people read, made from judgements: words, tables, figures, the report."""

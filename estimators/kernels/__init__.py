@@ -1,0 +1,37 @@
+"""Compiled functions over small matrices with the runs as last axis."""
+
+from .core import (
+    apply,
+    backward,
+    cholesky,
+    congruence,
+    factorise,
+    forward,
+    gather2,
+    gather3,
+    kernel,
+    multiply,
+    scatter2,
+    scatter3,
+    solve_spd,
+    symmetrise,
+    tile_width,
+)
+
+__all__ = [
+    "apply",
+    "backward",
+    "cholesky",
+    "congruence",
+    "factorise",
+    "forward",
+    "gather2",
+    "gather3",
+    "kernel",
+    "multiply",
+    "scatter2",
+    "scatter3",
+    "solve_spd",
+    "symmetrise",
+    "tile_width",
+]

@@ -1,0 +1,1 @@
+"""Estimation under random access protocols: the filter, its conditional rival, covariance bounds."""

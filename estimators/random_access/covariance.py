@@ -1,0 +1,74 @@
+"""The covariance that does not depend on who transmits, step by step."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from ...scenarios.arrays import Array
+from ...scenarios.model import DesignModel, Linear, Reception
+
+
+def predicted_covariance(linear: Linear, P: Array, k: int) -> Array:
+    """(10): P(k+1|k) from P(k|k), both (nx, nx)."""
+    A = linear.A(k)
+    return A @ P @ A.T + linear.Q(k)
+
+
+def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -> tuple[Array, Array]:
+    """(11), (12): the gain K (nx, ny) and P(k|k) from P(k|k-1), (nx, nx). Sensors that no node owns get no gain.
+
+    sum p_i Phi_i (C P C' + R) Phi_i of (12) is block diagonal over the nodes, so p cancels in the gain, whatever the
+    number of sensors a node owns; (11), and with it the next gains, still depend on p."""
+    C, R = linear.C(k), linear.R(k)
+    K, updated = np.zeros((len(P), len(C))), np.zeros_like(P)
+    for node, p in zip(reception.nodes, reception.p, strict=True):
+        rows = list(node)
+        c, r = C[rows], R[np.ix_(rows, rows)]
+        gain = np.linalg.solve(c @ P @ c.T + r, c @ P).T
+        left = np.eye(len(P)) - gain @ c
+        updated += p * (left @ P @ left.T + gain @ r @ gain.T)
+        K[:, rows] = gain
+    return K, (updated + updated.T) / 2
+
+
+class Covariance:
+    """The covariance P (nx, nx) after k predictions, and those that follow from it, each computed once.
+
+    They depend on the order of predictions and updates only, so they serve every batch of runs of one model."""
+
+    def __init__(self, linear: Linear, reception: Reception, P: Array, k: int = 0) -> None:
+        self.linear, self.reception, self.P, self.k = linear, reception, P, k
+
+    @cached_property
+    def predicted(self) -> Covariance:
+        P = predicted_covariance(self.linear, self.P, self.k)
+        return Covariance(self.linear, self.reception, P, self.k + 1)
+
+    @cached_property
+    def updated(self) -> tuple[Array, Covariance]:
+        """The gain, and what it leads to."""
+        K, P = updated_covariance(self.linear, self.reception, self.P, self.k)
+        return K, Covariance(self.linear, self.reception, P, self.k)
+
+    @classmethod
+    def initial(cls, model: DesignModel) -> Covariance:
+        assert model.linear is not None and model.reception is not None
+        return cls(model.linear, model.reception, model.initial_covariance[:, :, 0])
+
+    def sequence(self, horizon: int) -> tuple[list[Array], Array]:
+        """See `covariance_sequence`."""
+        now, gains, covariances = self, [], [self.P]
+        for _ in range(horizon):
+            K, now = now.predicted.updated
+            gains.append(K)
+            covariances.append(now.P)
+        return gains, np.array(covariances)
+
+
+def covariance_sequence(model: DesignModel, horizon: int) -> tuple[list[Array], Array]:
+    """Theorem 1's gains K_1 .. K_horizon (nx, ny each) and covariances P(k|k), k = 0 .. horizon, (horizon + 1, nx, nx).
+
+    For tables and figures (the trace of P against its bounds)."""
+    return Covariance.initial(model).sequence(horizon)

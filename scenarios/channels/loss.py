@@ -1,0 +1,39 @@
+"""Channels that lose elements independently, or none."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import Mask
+from ..model import Reception
+from ..randomness import RunRandom
+from ..schema import Probability
+from .base import Base
+
+
+class Ideal(Base):
+    """Everything arrives."""
+
+    kind: Literal["ideal"] = "ideal"
+
+    def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
+        return np.ones((steps, ny, len(random.runs)), dtype=bool)
+
+    def reception(self) -> Reception:
+        return Reception()
+
+
+class Bernoulli(Base):
+    """Each packet (all measurements of a step) arrives with probability p, independently."""
+
+    kind: Literal["bernoulli"]
+    p: Probability
+
+    def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
+        arrived = random.uniform(0.0, 1.0, steps) < self.p
+        return np.repeat(arrived[:, None, :], ny, axis=1)
+
+    def reception(self) -> Reception:
+        return Reception(self.p, self.p)

@@ -1,0 +1,5 @@
+"""Two miniature trains in moving block (Faruqi 2019)."""
+
+from .setting import MovingBlock
+
+__all__ = ["MovingBlock"]

@@ -1,0 +1,1 @@
+"""What settings on rails share: lines and trains, the dynamics, a drive over a line."""
