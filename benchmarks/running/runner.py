@@ -25,8 +25,9 @@ from .isolation import Ended, Isolation, isolation
 class Machinery:
     """How, not what, to run: none of it changes a row.
 
-    jobs: processes. batch: runs per task (None: by the memory a run takes, the jobs and the number of runs). backend: `local`, or joblib's `dask` or
-    `ray` with the scheduler's address. timeout: seconds a single task may take before it counts as hung."""
+    jobs: processes. batch: runs per task (None: by the memory a run takes, the jobs and the number of runs). backend:
+    `local`, or joblib's `dask` or `ray` with the scheduler's address. timeout: seconds a single task may take before it
+    counts as hung."""
 
     jobs: int = 1
     batch: int | None = None
