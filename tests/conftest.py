@@ -1,7 +1,10 @@
-"""Shared fixtures: the command line driven in a temporary folder, and a throw-away scenario with loose estimators."""
+"""Shared fixtures: the command line driven in a temporary folder, a throw-away scenario with loose estimators.
+
+Also the studies of minutes, which run when asked for (`pytest --long all`)."""
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,6 +130,25 @@ class Slow(Half):
         super().update(y, received)
         time.sleep(0.01)
 '''
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--long", default="none", metavar="none|all|SHARE:SEED",
+                     help="the studies marked long: none of them, all, or a drawn share (0.1:7)")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the studies marked long that --long does not ask for; a share is drawn by each one's own name."""
+    wanted, _, seed = str(config.getoption("--long")).partition(":")
+    share = {"none": 0.0, "all": 1.0}.get(wanted)
+    share = float(wanted) if share is None else share
+
+    def left_out(item: pytest.Item) -> bool:
+        drawn = hashlib.sha256(f"{seed} {item.nodeid}".encode()).digest()
+        return item.get_closest_marker("long") is not None and int.from_bytes(drawn[:4]) >= share * 2**32
+
+    config.hook.pytest_deselected(items=[item for item in items if left_out(item)])
+    items[:] = [item for item in items if not left_out(item)]
 
 
 @dataclass
