@@ -132,7 +132,8 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         prefix = f"variants.{variant}: " if changes else ""
         mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
         variants[variant] = merged
-    mistakes += _strays(variants.values(), where) if not mistakes else []
+    touched = {key.partition(".")[0] for key in overrides or ()}
+    mistakes += _strays(variants.values(), where, touched) if not mistakes else []
     if not variants or only in unfit:
         usual = {variant: found for variant, found in unfit.items() if named[variant].get("default", True)}
         mistakes += [f"variants.{variant}: {line}" if named[variant] else line
@@ -167,12 +168,12 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
     return mistakes
 
 
-def _strays(variants: Collection[dict[str, Any]], where: str) -> list[str]:
-    """Paths of [origin] and `fitted` that lead to nothing in any of the variants."""
+def _strays(variants: Collection[dict[str, Any]], where: str, touched: Collection[str]) -> list[str]:
+    """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden."""
     configs = [setting_for(table["plant"]["kind"], where).Config.model_validate(table) for table in variants]
     paths = {(key, path): None for config in configs for key in ("origin", "fitted") for path in getattr(config, key)}
     return [f"{key}.{path}: names no key of this scenario" for key, path in paths
-            if not any(_names_a_key(path, config) for config in configs)]
+            if path.partition(".")[0] not in touched and not any(_names_a_key(path, config) for config in configs)]
 
 
 def _names_a_key(path: str, config: Any) -> bool:

@@ -48,10 +48,10 @@ def sweep(
     for key, values in map(_axis, over):
         axes.setdefault(key, []).extend(item for item in values if item not in axes.get(key, []))
     fixed = overrides(set_)
-    found, variant = find_one(scenario, fixed)
+    points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+    found, variant = find_one(scenario, {**fixed, **points[0]})  # a key that is fixed may need one that is swept
     name = scenario if scenario.endswith(f"/{variant}") else f"{scenario}/{variant}"
     folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key in axes)}")
-    points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     plans = [make_plan([name], only=labels(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
                        plugins=plugin) for point in points]
     machinery = Machinery(jobs or os.cpu_count() or 1)

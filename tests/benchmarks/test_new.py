@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from pathlib import Path
 
@@ -50,27 +49,6 @@ def test_packages_work_in_a_fresh_environment(railstate: Command, tmp_path: Path
     assert "position rmse: kalman is better than alpha-beta" in compared.stdout
     tested = fresh.run("pytest", "-q", "my-filter/tests", "my-trolley/tests")
     assert tested.returncode == 0, tested.stdout
-
-
-def test_the_ten_minutes_of_the_readme_as_printed(tmp_path: Path) -> None:
-    """Its files are written under the names the text gives them, its commands run one after the other."""
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    section = text.split("## Your estimator in ten minutes\n")[1].split("\n## ")[0]
-    fresh = Fresh(tmp_path / "environment", tmp_path)
-    said = ""
-    for before, kind, block in re.findall(r"([^\n]*)\n\n```(\w+)\n(.*?)```", section, re.DOTALL):
-        if kind == "python":
-            found = re.search(r"`([a-z_]+\.py)`:$", before)
-            assert found, before
-            (tmp_path / found[1]).write_text(block)
-        for command in block.splitlines() if kind == "sh" else ():
-            done = fresh.run(*command.split())
-            assert done.returncode == 0 and "Traceback" not in done.stderr, f"{command}\n{done.stdout}{done.stderr}"
-            said += done.stdout
-    for line in ("gentle-pull: all rules kept", "80 rows: 80 ok", "alpha-beta: all rules kept",
-                 "speed rmse: ekf is better than alpha-beta",
-                 "random-access-conditional against my-filterpy: better in 0, worse in 0, tie in 6 of 6 comparisons"):
-        assert line in said, said
 
 
 def test_what_new_writes_for_an_estimator_is_short_and_keeps_the_rules(railstate: Command) -> None:

@@ -1,0 +1,42 @@
+"""What is installed: the packages named by hand are those on the disk, and the wheel works elsewhere by itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+from .fresh import Fresh
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("scenarios", "estimators", "benchmarks")
+
+
+def test_the_packages_named_are_those_on_the_disk() -> None:
+    named = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = {prefix.replace(".", "/"): folder for prefix, folder in named["package-dir"].items()}
+    there = {path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
+    found = set()
+    for package in named["packages"]:
+        prefix = max((key for key in folders if package.replace(".", "/").startswith(key)), key=len)
+        found.add(ROOT / folders[prefix] / package.replace(".", "/").removeprefix(prefix).lstrip("/"))
+    assert found == there
+    assert named["packages"] == sorted(named["packages"])
+
+
+def test_the_wheel_installed_elsewhere_runs_a_scenario(tmp_path: Path) -> None:
+    """Every package and every file that a setting, the report or a new package needs is in it."""
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index", "-w",
+                    str(tmp_path), str(ROOT)], check=True, capture_output=True)
+    wheel = next(tmp_path.glob("railstate-*.whl"))
+    fresh = Fresh(tmp_path / "environment", tmp_path)
+    done = fresh.run("pip", "install", "-q", "--force-reinstall", wheel)
+    assert done.returncode == 0, done.stderr
+    where = fresh.run(fresh.python, "-c", "import railstate.scenarios as s; print(s.__file__)")
+    assert where.stdout.startswith(str(tmp_path)), where.stdout
+    for words in (("list",), ("show", "ningbo-metro"), ("new", "estimator", "first-try"),
+                  ("run", "rap-example-1", "--runs", "3", "--jobs", "1", "--out", "out"), ("report", "out")):
+        done = fresh.run("railstate", *words)
+        assert done.returncode == 0, f"{words}\n{done.stdout}{done.stderr}"
+    assert (tmp_path / "out" / "report.html").stat().st_size > 50_000
