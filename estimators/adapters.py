@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scenarios.arrays import Array, Mask
+from ..scenarios.arrays import Array
 from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Portion
+from ..scenarios.measurement import Interval, Measurement, untold
+from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Status, flag
+from .interface import Estimate, Estimator, Innovation, Status, flag
 
 Indices = NDArray[np.intp]
 
@@ -23,43 +24,58 @@ Indices = NDArray[np.intp]
 class RunModel:
     """The design model as one run sees it: vectors (nx,) and matrices, no runs axis. `model` is the whole of it.
 
-    nx, ny: dimensions. x0 (nx,), P0 (nx, nx): the start. k: predictions so far."""
+    nx, ny: dimensions. x0 (nx,), P0 (nx, nx): the start. interval, step: of the prediction or measurement at hand;
+    f, F and Q go over that interval where they are given none."""
 
     def __init__(self, model: DesignModel, run: int, random: RunRandom) -> None:
-        self.model, self.nx, self.ny, self.k = model, model.nx, model.ny, 0
+        self.model, self.nx, self.ny, self.step = model, model.nx, model.ny, 0
         self.x0: Array = model.initial_mean[:, run].copy()
         self.P0: Array = model.initial_covariance[:, :, 0].copy()
-        self._run, self._random = run, random
+        self.interval = Interval(1, 0.0, model.period)
+        self._run, self._random, self._at = run, random, untold(0, model.ny)
 
     @property
     def random(self) -> np.random.Generator:
         """This run's own random stream, the only one its filter may use."""
         return self._random.generators[self._run]
 
-    def f(self, x: Array, u: Array, portion: float = 1.0) -> Array:
-        """The state (nx,) `portion` sampling periods after x (nx,) under the input u (nu,)."""
-        return self.model.transition(_column(x), _column(u), self.k, portion)[:, 0]
+    def f(self, x: Array, u: Array, interval: Interval | None = None) -> Array:
+        """The state (nx,) at the end of the interval, from x (nx,) under the step's input u (nu,)."""
+        return self.model.transition(_column(x), _column(u), interval or self.interval)[:, 0]
 
     def h(self, x: Array) -> Array:
-        """The measurement (ny,) of x (nx,)."""
-        return self.model.measurement(_column(x), self.k)[:, 0]
+        """The measurement (ny,) of x (nx,) at `step`."""
+        return self.model.measurement(_column(x), self.step)[:, 0]
 
-    def F(self, x: Array, u: Array, portion: float = 1.0) -> Array:
+    def F(self, x: Array, u: Array, interval: Interval | None = None) -> Array:
         """Jacobian of f (nx, nx). Raises Unsupported where the design model has none, as the next three do."""
-        return _given(self.model.transition_jacobian)(_column(x), _column(u), self.k, portion)[:, :, 0]
+        return _given(self.model.transition_jacobian)(_column(x), _column(u), interval or self.interval)[:, :, 0]
 
     def H(self, x: Array) -> Array:
-        """Jacobian of h (ny, nx)."""
-        return _given(self.model.measurement_jacobian)(_column(x), self.k)[:, :, 0]
+        """Jacobian of h (ny, nx) at `step`."""
+        return _given(self.model.measurement_jacobian)(_column(x), self.step)[:, :, 0]
 
-    def Q(self, x: Array, u: Array, portion: float = 1.0) -> Array:
-        """Process noise covariance (nx, nx) of a step from x."""
-        return _given(self.model.process_covariance)(_column(x), _column(u), self.k, portion)[:, :, 0]
+    def Q(self, x: Array, u: Array, interval: Interval | None = None) -> Array:
+        """Process noise covariance (nx, nx) of the interval from x."""
+        return _given(self.model.process_covariance)(_column(x), _column(u), interval or self.interval)[:, :, 0]
 
     @property
     def R(self) -> Array:
-        """Measurement noise covariance (ny, ny)."""
-        return _given(self.model.measurement_covariance)(self.k)[:, :, 0]
+        """Noise covariance (ny, ny) of the measurement at hand: what its sensors tell, else the model's own."""
+        return _given(self.model.measurement_covariance)(self._at)[:, :, 0]
+
+    def go(self, interval: Interval) -> Interval:
+        """Have this run's part of an interval at hand."""
+        self.step, self.interval = interval.step, interval.of_run(self._run)
+        return self.interval
+
+    def take(self, measurement: Measurement) -> None:
+        """Have this run's part of a measurement at hand."""
+        run, told = slice(self._run, self._run + 1), measurement.covariance
+        if told is not None and told.shape[2] > 1:
+            told = told[:, :, run]
+        self.step = measurement.step
+        self._at = measurement._replace(y=measurement.y[:, run], received=measurement.received[:, run], covariance=told)
 
 
 def _column(x: Array) -> Array:
@@ -77,7 +93,8 @@ class PerRun(Estimator):
 
     Filters are handed only what was received: `update_run` gets the elements' numbers `got` to take the rows of h, H,
     R by, and is not called where nothing came. An exception in a filter marks its run as failed, with NaN from there
-    on. Set claims = ("covariance",) where `read_run` gives one."""
+    on. Set claims = ("covariance",) where `read_run` gives one, and honours = ("covariance",) where it takes model.R
+    anew for every measurement."""
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
@@ -92,8 +109,8 @@ class PerRun(Estimator):
     def make(self, model: RunModel) -> Any:
         """A new filter for one run, started at model.x0, model.P0."""
 
-    def predict_run(self, filter: Any, model: RunModel, u: Array, portion: float) -> None:
-        """`portion` > 0 sampling periods ahead with input u (nu,). As it stands: filter.predict(u)."""
+    def predict_run(self, filter: Any, model: RunModel, u: Array, interval: Interval) -> None:
+        """To the end of an interval of some length with input u (nu,). As it stands: filter.predict(u)."""
         filter.predict(u)
 
     def update_run(self, filter: Any, model: RunModel, y: Array, got: Indices) -> None:
@@ -106,16 +123,17 @@ class PerRun(Estimator):
         """The filter's mean, (nx,) or (nx, 1), and covariance (nx, nx) or None. As it stands: filter.x and filter.P."""
         return filter.x, filter.P if "covariance" in self.claims else None
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        portions = np.broadcast_to(portion, (self.runs,))
-        for run in np.flatnonzero(portions).tolist():
-            self._guard(run, self.predict_run, u[:, run], float(portions[run]))
-            self.models[run].k += 1
+    def predict(self, u: Array, interval: Interval) -> None:
+        for run in np.flatnonzero(interval.moving(self.runs)).tolist():
+            self._guard(run, self.predict_run, u[:, run], self.models[run].go(interval))
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> Innovation | None:
+        y, received = measurement.y, measurement.received
         for run in np.flatnonzero(received.any(axis=0)).tolist():
             got = np.flatnonzero(received[:, run])
+            self.models[run].take(measurement)
             self._guard(run, self.update_run, y[got, run], got)
+        return None
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)
@@ -150,24 +168,27 @@ class PerRunStep(PerRun):
         super().start(model, runs, random)
         self._input: Array | None = None
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        if np.any(np.not_equal(portion, 1.0)) or self._input is not None:
+    def predict(self, u: Array, interval: Interval) -> None:
+        if not interval.whole or self._input is not None:
             raise Unsupported(f"{type(self).__name__} takes whole steps with a measurement each; this scenario has "
                               "part steps: write it as predict and update (PerRun) instead")
         self._input = u
         for run in np.flatnonzero(self.status == Status.ok).tolist():
             model, mean = self.models[run], self._mean[:, run].copy()
+            model.go(interval)
             self._mean[:, run] = model.f(mean, u[:, run])
             if self._covariance is not None:
                 F = model.F(mean, u[:, run])
                 self._covariance[:, :, run] = F @ self._covariance[:, :, run] @ F.T + model.Q(mean, u[:, run])
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> Innovation | None:
+        y, received = measurement.y, measurement.received
         for run in range(self.runs):
             u = None if self._input is None else self._input[:, run]
+            self.models[run].take(measurement)
             self._guard(run, self._step, np.where(received[:, run], y[:, run], np.nan), u)
-            self.models[run].k += u is not None
         self._input = None
+        return None
 
     def _step(self, step: Callable[[Array, Array | None], Any], model: RunModel, y: Array, u: Array | None) -> None:
         self._result = step(y, u)

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scenarios.arrays import Array, Mask
+from ..scenarios.arrays import Array
 from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Portion, product
+from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.model import DesignModel, product
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator
 
@@ -21,6 +22,7 @@ class Direct(Estimator):
     summary = "the last received measurement, held (C must be invertible)"
     source = "the usual practice that Zou et al., IEEE T-ITS 2018, section V, compare with"
     needs = ("linear",)
+    honours = ("covariance",)
     predicts = False
 
     @classmethod
@@ -43,11 +45,12 @@ class Direct(Estimator):
         self._mean = np.array(model.initial_mean, dtype=float)
         self._held = product(model.linear.C(0), self._mean)
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         """Nothing: the measurement is held."""
 
-    def update(self, y: Array, received: Mask) -> None:
-        self._held = np.where(received, y, self._held)
+    def update(self, measurement: Measurement) -> None:
+        received = measurement.received
+        self._held = np.where(received, measurement.y, self._held)
         self._mean = np.where(received.any(axis=0), product(self._inverse, self._held), self._mean)
 
     def estimate(self) -> Estimate:
@@ -59,17 +62,16 @@ class DeadReckoning(Estimator):
 
     summary = "prediction only: the design model without measurements"
     source = "the first-principles baseline"
+    honours = ("covariance",)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         self._mean = np.array(model.initial_mean, dtype=float)
-        self._k = 0
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        self._mean = self.model.transition(self._mean, u, self._k, portion)
-        self._k += 1
+    def predict(self, u: Array, interval: Interval) -> None:
+        self._mean = self.model.transition(self._mean, u, interval)
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> None:
         """Nothing: measurements are ignored."""
 
     def estimate(self) -> Estimate:
@@ -81,6 +83,7 @@ class Truth(Estimator):
 
     summary = "oracle: the true state"
     source = "not an estimator: the bound that no estimator passes"
+    honours = ("covariance",)
     oracle = True
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
@@ -90,10 +93,10 @@ class Truth(Estimator):
     def reveal(self, truth: Array) -> None:
         self._mean = np.array(truth[:self.model.nx])
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         """Nothing: `reveal` has told it all."""
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> None:
         """Nothing: `reveal` has told it all."""
 
     def estimate(self) -> Estimate:

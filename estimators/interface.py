@@ -4,12 +4,13 @@ Everything numerical carries the runs as its last axis. One instance serves one 
 
 from __future__ import annotations
 
+import inspect
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,8 @@ from pydantic import BaseModel, ConfigDict
 
 from ..scenarios.arrays import Array, Mask
 from ..scenarios.errors import Unsupported
-from ..scenarios.model import DesignModel, Portion
+from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 
 
@@ -48,6 +50,19 @@ class Estimate:
     ellipsoid: Array | None = None
     bound: Array | None = None
     diversity: Array | None = None
+
+
+class Innovation(NamedTuple):
+    """Of one update, in turn: element j after the elements received before it.
+
+    residual (ny, S), variance (ny, S or 1): uncorrelated, whatever R looks like, so NIS = sum residual^2 / variance and
+    log-likelihood = sum log N(residual; 0, variance) over the received elements; nobody forms or inverts S. Elements
+    that were not received are not read. log_likelihood (S,): log p(received | before) where it does not follow from
+    these (mixtures, particles, adapters); 0 where a run received nothing, NaN where it is not known."""
+
+    residual: Array | None = None
+    variance: Array | None = None
+    log_likelihood: Array | None = None
 
 
 def misshapen(estimate: Estimate, nx: int, runs: int, parameters: int) -> str | None:
@@ -87,7 +102,10 @@ class Estimator(ABC):
     `design`). claims: fields of `Estimate` it fills beyond the mean. source: paper, equation or book.
 
     predicts: False for what is no prediction at all (a measurement at hand): scored after the update of its step even
-    where the scenario scores predictions.
+    where the scenario scores predictions. honours: what of a telling model it uses, or has no use for: "covariance",
+    the noise covariance that sensors tell; a model that tells more is refused before the run. handles_late: it takes
+    measurements of old stamps itself. lag: 0 for filters; n: `past` speaks of n steps ago; None: `finish` hands out all
+    steps at the end.
 
     status (S,) of `Status` values and `reasons` by run: an estimator that notices that a run has gone wrong (covariance
     no longer positive definite, all weights zero) calls `flag`, keeps its numbers finite or NaN for that run only, and
@@ -100,6 +118,9 @@ class Estimator(ABC):
     claims: ClassVar[tuple[str, ...]] = ()
     oracle: ClassVar[bool] = False
     predicts: ClassVar[bool] = True
+    honours: ClassVar[tuple[str, ...]] = ()
+    handles_late: ClassVar[bool] = False
+    lag: ClassVar[int | None] = 0
 
     status: NDArray[np.int8]
     reasons: dict[int, str]
@@ -115,6 +136,9 @@ class Estimator(ABC):
         if missing:
             raise Unsupported(f"{cls.__name__} needs {', '.join(missing)} of the design model, which this scenario "
                               "does not give")
+        if model.tells and "covariance" not in cls.honours:
+            raise Unsupported(f"{cls.__name__} cannot use the noise covariance that sensors tell with each measurement "
+                              f"(here {', '.join(model.tells)})")
 
     def design(self, model: DesignModel) -> dict[str, Any]:
         """Offline work before the first step (gains, LMIs), timed apart. Returns what `railstate design` prints.
@@ -138,18 +162,39 @@ class Estimator(ABC):
         """Oracles only: the truth vector (nt, S) at the end of the step about to be predicted."""
 
     @abstractmethod
-    def predict(self, u: Array, portion: Portion) -> None:
-        """Go `portion` sampling periods ahead with input u (nu, S). portion: a number or one per run (S,).
+    def predict(self, u: Array, interval: Interval) -> None:
+        """Go to the end of the interval with input u (nu, S), the whole step's.
 
-        A run whose portion is 0 stays exactly as it is, random stream included: other runs' events change no bit."""
+        A run whose interval has no length stays exactly as it is, random stream included: other runs' events change no
+        bit. Matrices of time-varying models go by `interval.depart`; estimators count nothing."""
 
     @abstractmethod
-    def update(self, y: Array, received: Mask) -> None:
-        """Use the elements of y (ny, S) where received (ny, S) is true; the others are not to be read."""
+    def update(self, measurement: Measurement) -> Innovation | None:
+        """Use the elements that were received; the others are not to be read. One call for each stamp and event.
+
+        Returns the innovation where there is one; it is read at once, so its arrays may be reused."""
 
     @abstractmethod
     def estimate(self) -> Estimate:
         """The present estimate. The arrays may be reused by later steps: callers copy what they keep."""
+
+    def snapshot(self) -> Any:
+        """All that changes from step to step, copied (random streams by their state). Whoever does not write it cannot
+        be rewound."""
+        raise NotImplementedError
+
+    def restore(self, snapshot: Any) -> None:
+        """Back to a snapshot, which may be asked for again."""
+        raise NotImplementedError
+
+    def past(self) -> Estimate | None:
+        """Fixed-lag smoothers: the state `lag` steps ago; None before there is one."""
+        return None
+
+    def finish(self) -> Iterator[tuple[int, Estimate]]:
+        """Smoothers: (step, estimate) from the last step down to the first, one at a time. A run that has ended heard
+        nothing any more, so its backward pass starts with corrections of exactly zero."""
+        return iter(())
 
     def counters(self) -> dict[str, Array]:
         """Work done so far where it says more than seconds: {"kalman-updates": (S,)}. Reported per step."""
@@ -165,3 +210,17 @@ def flag(estimator: Estimator, failed: Mask, status: Status, reason: str) -> Non
     new = failed & (estimator.status == Status.ok)
     estimator.status[new] = status
     estimator.reasons.update(dict.fromkeys(np.flatnonzero(new).tolist(), reason))
+
+
+def first_edition(cls: type[Any]) -> str | None:
+    """What to write instead where a class has methods of the first edition of this interface; None where it has not."""
+    for name, old, new in (("predict", "portion", "predict(self, u, interval): interval.length in seconds, "
+                            "interval.share of the step's input, interval.depart for a step of one's own counting"),
+                           ("predict_run", "portion", "predict_run(self, filter, model, u, interval)"),
+                           ("update", "received", "update(self, measurement): measurement.y, measurement.received, "
+                            "measurement.step")):
+        method = inspect.getattr_static(cls, name, None)
+        if inspect.isfunction(method) and old in inspect.signature(method).parameters:
+            return (f"{cls.__name__}.{name}({', '.join(inspect.signature(method).parameters)}) is of railstate's first "
+                    f"edition: write {new}; functions of the model take (x, u, interval) and (x, step)")
+    return None

@@ -8,10 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..scenarios.arrays import Array, Mask
-from ..scenarios.model import DesignModel, Portion
+from ..scenarios.arrays import Array
+from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Status, flag
+from .interface import Estimate, Estimator, Innovation, Status, flag
 from .kernels.core import congruence
 from .kernels.kalman import kalman_update, shared_kalman_update
 
@@ -30,31 +31,30 @@ class ExtendedKalman(Estimator):
     needs: ClassVar[tuple[str, ...]] = (
         "transition_jacobian", "measurement_jacobian", "process_covariance", "measurement_covariance")
     claims = ("covariance",)
+    honours = ("covariance",)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(model.initial_covariance, dtype=float, order="C")
         self._failed = np.zeros(runs, dtype=bool)
-        self._k = 0
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        model, x, k = self.model, self._mean, self._k
+    def predict(self, u: Array, interval: Interval) -> None:
+        model, x = self.model, self._mean
         assert model.transition_jacobian is not None and model.process_covariance is not None
-        f = np.ascontiguousarray(model.transition_jacobian(x, u, k, portion))
-        q = np.ascontiguousarray(model.process_covariance(x, u, k, portion))
-        self._mean = np.ascontiguousarray(model.transition(x, u, k, portion))
+        f = np.ascontiguousarray(model.transition_jacobian(x, u, interval))
+        q = np.ascontiguousarray(model.process_covariance(x, u, interval))
+        self._mean = np.ascontiguousarray(model.transition(x, u, interval))
         if f.shape[2] > 1 or q.shape[2] > 1:
             self._expand()
         congruence(f, self._covariance, q, self._covariance)
-        self._k = k + 1
 
-    def update(self, y: Array, received: Mask) -> None:
-        model, x = self.model, self._mean
+    def update(self, measurement: Measurement) -> Innovation | None:
+        model, x, (y, received, at, *_) = self.model, self._mean, measurement
         assert model.measurement_jacobian is not None and model.measurement_covariance is not None
-        h = np.ascontiguousarray(model.measurement_jacobian(x, self._k))
-        r = model.measurement_covariance(self._k)
-        predicted = np.ascontiguousarray(model.measurement(x, self._k))
+        h = np.ascontiguousarray(model.measurement_jacobian(x, at))
+        r = model.measurement_covariance(measurement)
+        predicted = np.ascontiguousarray(model.measurement(x, at))
         shared = self._covariance.shape[2] == 1 < self.runs
         if shared and (h.shape[2] > 1 or _correlated(r) or (received != received[:, :1]).any()):
             self._expand()
@@ -62,6 +62,7 @@ class ExtendedKalman(Estimator):
         step = shared_kalman_update if shared else kalman_update
         if step(x, self._covariance, y, predicted, received, h, r, self._failed):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
+        return None
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

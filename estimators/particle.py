@@ -10,9 +10,10 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from ..scenarios.arrays import Array, Mask
-from ..scenarios.model import DesignModel, Portion
+from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Parameters, Status, flag
+from .interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from .kernels.core import cholesky, factorise, forward, kernel
 
 
@@ -33,10 +34,11 @@ class BootstrapParticle(Estimator):
     source = "Gordon, Salmond and Smith, IEE Proc. F 140(2), 1993; systematic resampling: Kitagawa, JCGS 5(1), 1996"
     needs = ("process_covariance", "measurement_covariance")
     claims = ("covariance",)
+    honours = ("covariance",)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        self._random, self._k = random, 0
+        self._random = random
         self._failed = np.zeros(runs, dtype=bool)
         self._particles = np.repeat(model.initial_mean[:, None, :], self.parameters.particles, axis=1)
         everyone = np.ones(runs, dtype=bool)
@@ -46,27 +48,28 @@ class BootstrapParticle(Estimator):
         self._mean, self._covariance = np.empty((model.nx, runs)), np.empty((model.nx, model.nx, runs))
         self._moments(everyone)
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         model = self.model
         assert model.process_covariance is not None
-        q = model.process_covariance(self._mean, u, self._k, portion)
-        self._particles = np.ascontiguousarray(model.transition(self._particles, u, self._k, portion))
-        moving: Mask = np.asarray(np.broadcast_to(portion, (self.runs,)) != 0.0, dtype=bool)
+        q = model.process_covariance(self._mean, u, interval)
+        self._particles = np.ascontiguousarray(model.transition(self._particles, u, interval))
+        moving = interval.moving(self.runs)
         self._diffuse(q, moving)
-        self._k += 1
         self._moments(moving)
 
-    def update(self, y: Array, received: Mask) -> None:
-        model = self.model
+    def update(self, measurement: Measurement) -> Innovation | None:
+        model, (y, received, at, *_) = self.model, measurement
         assert model.measurement_covariance is not None
-        images = np.array(model.measurement(self._particles, self._k), order="C")  # a copy even of the state itself
+        images = np.array(model.measurement(self._particles, at), order="C")  # a copy even of the state itself
         # Drawn whether used or not, but only where something arrived: other runs' events must not move a run's stream.
         told = np.asarray(received.any(axis=0), dtype=bool)
         offset = self._random.uniform(0.0, 1.0, which=told)
-        if _weigh(images, y, received, model.measurement_covariance(self._k), self._logs, self._weights, self._failed):
+        r = model.measurement_covariance(measurement)
+        if _weigh(images, y, received, r, self._logs, self._weights, self._failed):
             flag(self, self._failed, Status.failed, "no particle has a finite likelihood")
         self._moments(told)
         _resample(self._particles, self._logs, self._weights, offset, self.parameters.resample_below)
+        return None
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

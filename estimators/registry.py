@@ -16,7 +16,7 @@ from typing import Any
 
 from ..scenarios.errors import InputError
 from ..scenarios.registry import load_group
-from .interface import Estimator
+from .interface import Estimator, first_edition
 
 _loose: dict[str, type[Estimator]] = {}
 
@@ -37,6 +37,9 @@ def estimator_class(name: str, where: str) -> type[Estimator]:
     known = estimators()
     if name not in known:
         raise InputError(f"{where}: there is no estimator \"{name}\"; installed: {', '.join(known)}")
+    old = first_edition(known[name])
+    if old:
+        raise InputError(f"{where}: {old}")
     return known[name]
 
 
@@ -65,6 +68,10 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
                and not inspect.isabstract(value)]
     if not classes:
         raise InputError(f"{path}: holds no subclass of railstate.estimators.interface.Estimator")
+    for cls in classes:
+        old = first_edition(cls)
+        if old:
+            raise InputError(f"{path}: {old}")
     names = [file.stem.replace("_", "-")] if len(classes) == 1 else [
         re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", item.__name__).lower() for item in classes]
     found = dict(zip(names, classes, strict=True))

@@ -10,11 +10,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..scenarios.arrays import Array, Mask
+from ..scenarios.arrays import Array
 from ..scenarios.errors import Infeasible
-from ..scenarios.model import DesignModel, Portion
+from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Parameters, Status, flag
+from .interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from .kernels.unscented import sigma_points, unscented_predict, unscented_update
 
 NOT_DEFINITE = "a covariance was not positive definite"
@@ -31,6 +32,7 @@ class SigmaPointKalman(Estimator):
 
     needs = ("process_covariance", "measurement_covariance")
     claims = ("covariance",)
+    honours = ("covariance",)
     redraw: bool = True
 
     @abstractmethod
@@ -55,35 +57,34 @@ class SigmaPointKalman(Estimator):
         self._all = np.arange(runs)
         self._nothing = np.zeros((n, n, 1))
         self._unspread = self._nothing
-        self._k = 0
         self._draw()
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         model = self.model
         assert model.process_covariance is not None
-        q = np.ascontiguousarray(model.process_covariance(self._mean, u, self._k, portion))
+        q = np.ascontiguousarray(model.process_covariance(self._mean, u, interval))
         if self._unspread is not self._nothing:
             self._draw()
-        moved = np.ascontiguousarray(model.transition(self._points, u, self._k, portion))
+        moved = np.ascontiguousarray(model.transition(self._points, u, interval))
         # Drawing points anew would change the last bits of runs that stand still.
-        moving = self._all if isinstance(portion, float) else np.flatnonzero(portion)
+        moving = self._all if isinstance(interval.length, float) else np.flatnonzero(interval.length)
         if unscented_predict(moved, moving, self._weights_mean, self._weights_covariance, q, self._scale, self.redraw,
                              self._mean, self._covariance, self._points, self._deviations, self._failed):
             flag(self, self._failed, Status.failed, NOT_DEFINITE)
         if not self.redraw:
             self._points, self._unspread = moved, q
-        self._k += 1
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> Innovation | None:
         model = self.model
         assert model.measurement_covariance is not None
-        images = np.ascontiguousarray(model.measurement(self._points, self._k))
+        images = np.ascontiguousarray(model.measurement(self._points, measurement.step))
         if unscented_update(self._mean, self._covariance, self._points, self._deviations, images, self._weights_mean,
-                            self._weights_covariance, self._scale, y, received,
-                            model.measurement_covariance(self._k), self._unspread, self._failed):
+                            self._weights_covariance, self._scale, measurement.y, measurement.received,
+                            model.measurement_covariance(measurement), self._unspread, self._failed):
             flag(self, self._failed, Status.failed, NOT_DEFINITE)
         if self._unspread is not self._nothing:
             self._draw()
+        return None
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

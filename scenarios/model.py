@@ -4,6 +4,7 @@ All callables work on arrays whose *last* axis is the runs; extra axes (sigma po
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,10 +13,8 @@ import numpy as np
 from numba import njit
 
 from .arrays import Array
-from .errors import Unsupported
-
-Portion = float | Array
-"""A length of time in sampling periods: a number, or one per run (S,). 1.0 is a whole step."""
+from .errors import InputError, Unsupported
+from .measurement import Interval, Measurement, told
 
 
 @dataclass(frozen=True)
@@ -23,8 +22,8 @@ class Linear:
     """x(k+1) = A x + B u + h + process noise, y = C x + measurement noise. Matrices may depend on the step k.
 
     A (nx, nx), B (nx, nu), h (nx,), C (ny, nx), Q (nx, nx), R (ny, ny); `constant` promises that k does not matter.
-    `A(k)` leads from step k to step k + 1; `C(k)` belongs to the measurement of step k. steps: how many steps the
-    matrices are known for; None: any number."""
+    `A(k)` leads from step k to step k + 1; `C(k)`, `R(k)` belong to the measurement of step k; step 0 is the start.
+    steps: how many steps the matrices are known for; None: any number."""
 
     A: Callable[[int], Array]
     B: Callable[[int], Array]
@@ -43,7 +42,7 @@ class Bounds:
     G (nx, nw), w_bar (nw,), v_bar (ny,). Linearisation error f(x) - f(x^) = (A + M Delta N) e with |Delta| <= 1,
     M (nx, 1), N (1, nx) without its factor kappa; `kappa(x, u, Pi)` gives that factor, shape (S,), from the estimate
     (nx, S), input (nu, S) and the error bound's shape matrix Pi (nx, nx, S). None: the plant is linear.
-    v_bar_i infinite: sensor i has no bound. `part(portion)`: G of a part of a step, (nx, nw, S or 1); None: G, M and N
+    v_bar_i infinite: sensor i has no bound. `part(interval)`: G of a part of a step, (nx, nw, S or 1); None: G, M and N
     hold for whole steps only."""
 
     G: Array
@@ -52,7 +51,7 @@ class Bounds:
     M: Array | None = None
     N: Array | None = None
     kappa: Callable[[Array, Array, Array], Array] | None = None
-    part: Callable[[Portion], Array] | None = None
+    part: Callable[[Interval], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,25 +90,27 @@ class Reception:
 class DesignModel:
     """What an estimator is told of the plant. Optional parts are None where the scenario does not give them.
 
-    transition(x, u, k, portion): (nx, .., S) -> (nx, .., S), the state `portion` sampling periods later; u (nu, S).
-    measurement(x, k): (nx, .., S) -> (ny, .., S).
-    transition_jacobian(x, u, k, portion): (nx, S) -> (nx, nx, S) or (nx, nx, 1) where all runs share it.
-    measurement_jacobian(x, k): (nx, S) -> (ny, nx, S or 1).
-    process_covariance(x, u, k, portion): (nx, nx, S or 1), PSD. measurement_covariance(k): (ny, ny, 1), PD.
+    transition(x, u, interval): (nx, .., S) -> (nx, .., S), the state at the end of the interval; u (nu, S) is the whole
+    step's input, of which `interval.share` falls into it.
+    measurement(x, step): (nx, .., S) -> (ny, .., S).
+    transition_jacobian(x, u, interval): (nx, S) -> (nx, nx, S) or (nx, nx, 1) where all runs share it.
+    measurement_jacobian(x, step): (nx, S) -> (ny, nx, S or 1).
+    process_covariance(x, u, interval): (nx, nx, S or 1), PSD. Parts of a step need not add up to the whole.
+    measurement_covariance(measurement): (ny, ny, S or 1), PD: what the sensors tell, else the model's own (`told`).
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
-    `k` counts the estimator's predictions so far; only time-varying models look at it.
+    tells: measurements whose sensors tell their own covariance, so that an estimator that cannot use it refuses.
     `details` carries plant-specific knowledge for estimators written for that plant (keys told by the setting)."""
 
     states: tuple[str, ...]
     measurements: tuple[str, ...]
     period: float
-    transition: Callable[[Array, Array, int, Portion], Array]
+    transition: Callable[[Array, Array, Interval], Array]
     measurement: Callable[[Array, int], Array]
-    transition_jacobian: Callable[[Array, Array, int, Portion], Array] | None
+    transition_jacobian: Callable[[Array, Array, Interval], Array] | None
     measurement_jacobian: Callable[[Array, int], Array] | None
-    process_covariance: Callable[[Array, Array, int, Portion], Array] | None
-    measurement_covariance: Callable[[int], Array] | None
+    process_covariance: Callable[[Array, Array, Interval], Array] | None
+    measurement_covariance: Callable[[Measurement], Array] | None
     initial_mean: Array
     initial_covariance: Array
     linear: Linear | None = None
@@ -118,6 +119,16 @@ class DesignModel:
     reception: Reception | None = None
     performance: Array | None = None
     details: dict[str, object] = field(default_factory=dict)
+    tells: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError for functions of the first edition, which took a step and a portion of it."""
+        for name in ("transition", "transition_jacobian", "process_covariance"):
+            if _wants(getattr(self, name)) == 4:
+                raise InputError(
+                    f"DesignModel.{name}(x, u, k, portion) is of railstate's first edition: write {name}(x, u, "
+                    "interval), with interval.length in seconds, interval.share of the step's input and "
+                    "interval.depart for k; measurement_covariance(measurement) likewise, with measurement.step for k")
 
     @property
     def nx(self) -> int:
@@ -128,9 +139,19 @@ class DesignModel:
         return len(self.measurements)
 
 
-def whole_steps(portion: Portion, who: str) -> None:
-    """Raise Unsupported where a prediction goes a part of a sampling period only."""
-    if not (isinstance(portion, float) and portion == 1.0) and np.any(np.not_equal(portion, 1.0)):
+def _wants(function: Callable[..., object] | None) -> int:
+    """How many arguments a function must be given; 0 where that cannot be told."""
+    try:
+        asked = inspect.signature(function).parameters.values() if function else ()
+    except (TypeError, ValueError):
+        return 0
+    return sum(one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+               for one in asked)
+
+
+def whole_steps(interval: Interval, who: str) -> None:
+    """Raise Unsupported where a prediction goes a part of a step only."""
+    if not interval.whole:
         raise Unsupported(f"{who} knows whole sampling periods only, not parts of one")
 
 
@@ -148,8 +169,9 @@ def linear_model(
 
     The matrices are those of whole steps: asked for a part of one, the transition raises Unsupported."""
 
-    def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        whole_steps(portion, "this linear design model")
+    def transition(x: Array, u: Array, interval: Interval) -> Array:
+        whole_steps(interval, "this linear design model")
+        k = interval.depart
         moved = product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
         if u.shape[0]:
             drive = product(linear.B(k), u)
@@ -161,11 +183,11 @@ def linear_model(
         measurements=measurements,
         period=period,
         transition=transition,
-        measurement=lambda x, k: product(linear.C(k), x),
-        transition_jacobian=lambda x, u, k, portion: linear.A(k)[:, :, None],
-        measurement_jacobian=lambda x, k: linear.C(k)[:, :, None],
-        process_covariance=lambda x, u, k, portion: linear.Q(k)[:, :, None],
-        measurement_covariance=lambda k: linear.R(k)[:, :, None],
+        measurement=lambda x, step: product(linear.C(step), x),
+        transition_jacobian=lambda x, u, interval: linear.A(interval.depart)[:, :, None],
+        measurement_jacobian=lambda x, step: linear.C(step)[:, :, None],
+        process_covariance=lambda x, u, interval: linear.Q(interval.depart)[:, :, None],
+        measurement_covariance=told(lambda step: linear.R(step)[:, :, None]),
         initial_mean=initial_mean,
         initial_covariance=initial_covariance,
         linear=linear,

@@ -4,25 +4,34 @@ One interface for both, so that the same runner and the same estimators serve ei
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import Array, Mask
+from .errors import InputError
+from .measurement import PerRun
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
     """One prediction and one measurement inside a step.
 
-    portion: time since the previous event, in sampling periods; a number or one per run (S,). The number 0.0 means no
-    prediction at all. y (ny, S); received (ny, S): which elements arrived (elements that did not are never read)."""
+    share: of the step, since the event before; a number or one per run (S,). The number 0.0 means no prediction at all.
+    y (ny, S); received (ny, S): which elements arrived (elements that did not are never read). covariance (ny, ny, S or
+    1): as `Measurement` has it."""
 
-    portion: float | Array
+    share: PerRun
     y: Array
     received: Mask
+    covariance: Array | None = None
+
+
+FIRST_EDITION = -1
+"""The number of a step that was made without one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +39,12 @@ class Step:
     """What happens on the way to one scored instant.
 
     u (nu, S): the input as the estimator is told it, over the interval that ends here. events: in time order, their
-    portions adding up to the step's length. truth (nt, S): the state, then the parameters to be estimated, at the
-    instant. active (S,): runs still under way (a train that has stopped is scored no further). scored (nt, S): elements
-    of the truth that still count in runs under way (one of several trains may have finished); None: all of them.
-    window (S,): index of the world's named window each run is in (a section of a trip), -1 for none."""
+    shares adding up to 1 (or 0: measured at the start). truth (nt, S): the state, then the parameters to be estimated,
+    at the instant. active (S,): runs still under way (a train that has stopped is scored no further, and hears nothing
+    any more). scored (nt, S): elements of the truth that still count in runs under way (one of several trains may have
+    finished); None: all of them. window (S,): index of the world's named window each run is in (a section of a trip),
+    -1 for none. number: of the step the interval leads to, 0 being the start. start, length: of the interval, s,
+    numbers or (S,)."""
 
     u: Array
     events: tuple[Event, ...]
@@ -41,6 +52,9 @@ class Step:
     active: Mask
     scored: Mask | None = None
     window: NDArray[np.int16] | None = None
+    number: int = FIRST_EDITION
+    start: PerRun = 0.0
+    length: PerRun = 0.0
 
 
 class World(Protocol):
@@ -51,6 +65,11 @@ class World(Protocol):
     @property
     def steps(self) -> int:
         """How many steps there are at the most."""
+        ...
+
+    @property
+    def lengths(self) -> Array:
+        """Length of the interval that ends at each of the scored instants, s, (K,)."""
         ...
 
     @property
@@ -68,10 +87,9 @@ class World(Protocol):
         ...
 
 
-def step_times(world: World, period: float) -> Array:
-    """Time of each scored instant since the first one, s, (K,): steps of the world's own lengths where it has any."""
-    portions = getattr(world, "portions", np.ones(world.steps))
-    return (np.cumsum(portions) - portions[0]) * period
+def step_times(world: World) -> Array:
+    """Time of each scored instant since the first one, s, (K,)."""
+    return np.cumsum(world.lengths) - world.lengths[0]
 
 
 @dataclass(frozen=True)
@@ -79,28 +97,44 @@ class Trajectory:
     """An open-loop world, simulated beforehand and shared by all estimators.
 
     truth (K, nt, S); u (K, nu, S): input over the interval that ends at step k; y (K, ny, S); received (K, ny, S);
-    active (K, S); portions (K,): length of the interval that ends at step k in sampling periods (0.0: measure only).
+    active (K, S); lengths (K,): of the interval that ends at step k, s (0.0: measured at the start, no prediction).
     initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form.
     windows: names of parts of the trip whose errors are reported on their own; window (K, S): which part a step is in,
-    -1 for none."""
+    -1 for none. covariance (K, ny, ny, S or 1): what the sensors tell of each measurement, NaN where they do not.
+    Raises InputError without lengths."""
 
     truth: Array
     u: Array
     y: Array
     received: Mask
     active: Mask
-    portions: Array
-    initial_mean: Array
+    lengths: Array = field(default_factory=lambda: np.zeros(0))
+    initial_mean: Array = field(default_factory=lambda: np.zeros((0, 0)))
     extra: dict[str, Array] = field(default_factory=dict)
     closed_loop: bool = False
     windows: tuple[str, ...] = ()
     window: NDArray[np.int16] | None = None
+    covariance: Array | None = None
+    portions: InitVar[object] = None
+
+    def __post_init__(self, portions: object) -> None:
+        if portions is not None or len(self.lengths) != len(self.truth):
+            raise InputError("a Trajectory takes lengths (K,), the length of each interval in seconds; portions, in "
+                             "sampling periods, are of railstate's first edition: write lengths=portions * period")
+
+    @cached_property
+    def _clock(self) -> tuple[list[float], list[float]]:
+        """Start and length of each interval, s."""
+        return (np.cumsum(self.lengths) - self.lengths).tolist(), self.lengths.tolist()
 
     @property
     def steps(self) -> int:
         return self.truth.shape[0]
 
     def step(self, k: int, mean: Array) -> Step:
-        event = Event(float(self.portions[k]), self.y[k], self.received[k])
+        starts, lengths = self._clock
+        covariance = None if self.covariance is None else self.covariance[k]
+        event = Event(1.0 if lengths[k] else 0.0, self.y[k], self.received[k], covariance)
         window = None if self.window is None else self.window[k]
-        return Step(self.u[k], (event,), self.truth[k], self.active[k], window=window)
+        return Step(self.u[k], (event,), self.truth[k], self.active[k], None, window,
+                    k + (lengths[0] > 0), starts[k], lengths[k])

@@ -56,11 +56,11 @@ class Half(Estimator):
         self.numbers = np.array(random.runs)
         self.noise = random.normal(1)[0]
 
-    def predict(self, u, portion):
-        self.x = np.stack([self.x[0] + portion * self.x[1], self.x[1]])
+    def predict(self, u, interval):
+        self.x = np.stack([self.x[0] + interval.length * self.x[1], self.x[1]])
 
-    def update(self, y, received):
-        innovation = np.where(received[0], y[0] - self.x[0], 0.0)
+    def update(self, measurement):
+        innovation = np.where(measurement.received[0], measurement.y[0] - self.x[0], 0.0)
         self.x = self.x + np.stack([0.5 * innovation, 0.1 * innovation])
 
     def estimate(self):
@@ -68,8 +68,8 @@ class Half(Estimator):
 
 
 class Raises(Half):
-    def update(self, y, received):
-        super().update(y, received)
+    def update(self, measurement):
+        super().update(measurement)
         if (self.numbers == 3).any():
             raise ArithmeticError("run 3 is not for me")
 
@@ -85,20 +85,20 @@ class Blank(Half):
 
 
 class Dies(Half):
-    def update(self, y, received):
-        super().update(y, received)
+    def update(self, measurement):
+        super().update(measurement)
         if (self.numbers == 5).any():
             os._exit(3)
 
 
 class DiesAtOnce(Half):
-    def update(self, y, received):
+    def update(self, measurement):
         if (self.numbers == 0).any():
             os._exit(3)
 
 
 class Leaves(Half):
-    def update(self, y, received):
+    def update(self, measurement):
         if (self.numbers == 2).any():
             raise SystemExit(5)
 
@@ -119,15 +119,15 @@ class Listing(Half):
 
 
 class Hangs(Half):
-    def update(self, y, received):
-        super().update(y, received)
+    def update(self, measurement):
+        super().update(measurement)
         if (self.numbers == 1).any():
             time.sleep(1000)
 
 
 class Slow(Half):
-    def update(self, y, received):
-        super().update(y, received)
+    def update(self, measurement):
+        super().update(measurement)
         time.sleep(0.01)
 '''
 

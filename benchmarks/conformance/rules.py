@@ -53,7 +53,7 @@ def _description(trial: Trial) -> str | None:
 
 def _causality(trial: Trial) -> str | None:
     tape = trial.case.tape
-    half = len(tape.portions) // 2
+    half = len(tape.shares) // 2
     end = slice(half, None)
     later = tape.copy()
     for values in (later.u, later.y, later.truth):
@@ -154,7 +154,7 @@ def _statuses(trial: Trial) -> str | None:
     if silent:
         return f"statuses are {record.status.tolist()}, but reasons says nothing of run {silent[0]}"
     tape = trial.case.tape
-    half = len(tape.portions) // 2
+    half = len(tape.shares) // 2
     received = tape.received.copy()
     received[2:2 + half, :, 0] = False
     found = _unflagged(trial.feed(replace(tape, received=received)))
@@ -176,18 +176,18 @@ def _parts(trial: Trial) -> str | None:
         raise DoesNotApply
     tape = trial.case.tape.copy()
     share = np.array([0.0, 0.4, 1.0])
-    events, runs = len(tape.portions), len(tape.runs)
-    portions = tuple(share[(np.arange(runs) * 2 + e + e // 3) % 3] for e in range(events))
-    idle = np.stack(portions)[:, None, :] == 0.0
-    tape = replace(tape, portions=portions, received=tape.received & ~idle)
+    events, runs = len(tape.shares), len(tape.runs)
+    shares = tuple(share[(np.arange(runs) * 2 + e + e // 3) % 3] for e in range(events))
+    idle = np.stack(shares)[:, None, :] == 0.0
+    tape = replace(tape, shares=shares, received=tape.received & ~idle)
     try:
         record = trial.feed(tape)
     except Unsupported:
         raise DoesNotApply from None
-    for e, portion in enumerate(portions):
+    for e, part in enumerate(shares):
         before, after = (Record(record.estimates[i:i + 1], record.when[i:i + 1], record.status, {})
                          for i in (2 * e, 2 * e + 2))
-        rest = [run for run in range(runs) if portion[run] == 0.0]
+        rest = [run for run in range(runs) if part[run] == 0.0]
         found = difference(after.of(rest), before, rest, statuses=False)
         if found:
             return f"a run that goes no part of a step and hears nothing moved: {found}"
@@ -284,7 +284,8 @@ RULES = (
          "class, parameters and instance survive pickling, since runs go to other processes",
          "define the class at the top level of a module; keep lambdas, files and locks out of __init__", _pickling),
     Rule("parts of a step",
-         "a run whose portion is 0 stays as it is, its random stream too; a method for whole steps raises Unsupported",
-         "use `portion` as a factor (transition(x, u, k, portion)), draw with which=portion != 0, or raise Unsupported",
+         "a run whose interval has no length stays as it is, its random stream too; a method for whole steps raises "
+         "Unsupported",
+         "take transition(x, u, interval), draw with which=interval.moving(self.runs), or call whole_steps(interval)",
          _parts),
 )

@@ -1,6 +1,6 @@
 """What the conformance test feeds an estimator: recorded tapes of a small built-in model and of a scenario.
 
-A tape is a list of events that can be cut, changed and fed again; the runner's own loop cannot."""
+A tape is a world of recorded events, which can be cut, changed and fed again."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from pydantic import ValidationError
 from ...estimators.interface import Estimator
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Infeasible, InputError
-from ...scenarios.model import Bounds, DesignModel, Linear, Modes, Portion, Reception, linear_model
+from ...scenarios.measurement import Interval, PerRun
+from ...scenarios.model import Bounds, DesignModel, Linear, Modes, Reception, linear_model
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
-from ...scenarios.world import Step
+from ...scenarios.world import Event, Step
 from ..planning.naming import find
 
 RUNS = (0, 1, 2, 3, 4)
@@ -30,26 +31,57 @@ LOST_SHARE = 0.2
 
 @dataclass(frozen=True)
 class Tape:
-    """Recorded events. E events, S runs: u (E, nu, S), y (E, ny, S), received (E, ny, S), truth (E, nt, S) at the end
-    of each event's step, portions (E,) numbers or (S,) arrays, begins (E,): the event opens a step."""
+    """Recorded events, a `World` of them. E events, S runs: u (E, nu, S), y (E, ny, S), received (E, ny, S), truth
+    (E, nt, S) at the end of each event's step, shares (E,) numbers or (S,) arrays, begins (E,): the event opens a step;
+    numbers, starts, spans (E,): step, its start and length in s. covariances (E,): told ones, or None."""
 
     runs: tuple[int, ...]
     initial_mean: Array
     u: Array
-    portions: tuple[Portion, ...]
+    shares: tuple[PerRun, ...]
     y: Array
     received: Mask
     truth: Array
     begins: tuple[bool, ...]
+    numbers: tuple[int, ...]
+    starts: tuple[PerRun, ...]
+    spans: tuple[PerRun, ...]
+    covariances: tuple[Array | None, ...]
+    closed_loop: bool = False
+
+    @property
+    def firsts(self) -> list[int]:
+        """The event that opens each step."""
+        return [e for e, begins in enumerate(self.begins) if begins]
+
+    @property
+    def steps(self) -> int:
+        return sum(self.begins)
+
+    @property
+    def lengths(self) -> Array:
+        """Nothing is scored: steps of one length each."""
+        return np.ones(self.steps)
+
+    def step(self, k: int, mean: Array) -> Step:
+        """The events of the k-th step."""
+        first, end = [*self.firsts, len(self.begins)][k:k + 2]
+        events = tuple(Event(self.shares[e], self.y[e], self.received[e], self.covariances[e])
+                       for e in range(first, end))
+        return Step(self.u[first], events, self.truth[first], np.ones(len(self.runs), dtype=bool),
+                    number=self.numbers[first], start=self.starts[first], length=self.spans[first])
 
     def only(self, positions: list[int]) -> Tape:
         """The tape of some of its runs, in the order given."""
         def take(values: Any) -> Any:
             return np.array(values[..., positions], order="C")
 
-        return Tape(tuple(self.runs[p] for p in positions), take(self.initial_mean), take(self.u),
-                    tuple(take(p) if isinstance(p, np.ndarray) else p for p in self.portions), take(self.y),
-                    take(self.received), take(self.truth), self.begins)
+        def each(values: tuple[Any, ...]) -> tuple[Any, ...]:
+            return tuple(take(v) if isinstance(v, np.ndarray) and v.shape[-1] > 1 else v for v in values)
+
+        return Tape(tuple(self.runs[p] for p in positions), take(self.initial_mean), take(self.u), each(self.shares),
+                    take(self.y), take(self.received), take(self.truth), self.begins, self.numbers, each(self.starts),
+                    each(self.spans), each(self.covariances))
 
     def copy(self) -> Tape:
         """A tape that shares no memory with this one."""
@@ -88,20 +120,20 @@ def small_model(initial_mean: Array) -> DesignModel:
     r, c = np.diag([POSITION_SD**2, SPEED_SD**2]), np.eye(2)
     linear = Linear(lambda k: a, lambda k: b, lambda k: np.zeros(2), lambda k: c, lambda k: q, lambda k: r)
 
-    def part(portion: Portion) -> Array:
-        s = np.atleast_1d(t * np.asarray(portion, dtype=float))
+    def part(interval: Interval) -> Array:
+        s = np.atleast_1d(np.asarray(interval.length, dtype=float))
         return _rows((s * s / 2,), (s,))
 
-    def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        s = t * np.asarray(portion, dtype=float)
+    def transition(x: Array, u: Array, interval: Interval) -> Array:
+        s = np.asarray(interval.length, dtype=float)
         return np.stack([x[0] + s * x[1] + s * s / 2 * u[0], x[1] + s * u[0]])
 
-    def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        s = np.atleast_1d(t * np.asarray(portion, dtype=float))
+    def jacobian(x: Array, u: Array, interval: Interval) -> Array:
+        s = np.atleast_1d(np.asarray(interval.length, dtype=float))
         return _rows((np.ones_like(s), s), (np.zeros_like(s), np.ones_like(s)))
 
-    def process(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        return np.atleast_1d(np.asarray(portion, dtype=float)) * q[:, :, None]
+    def process(x: Array, u: Array, interval: Interval) -> Array:
+        return np.atleast_1d(np.asarray(interval.share, dtype=float)) * q[:, :, None]
 
     model = linear_model(
         linear, states=("position", "speed"), measurements=("position", "speed"), period=t, initial_mean=initial_mean,
@@ -126,7 +158,8 @@ def small_case(parameters: Mapping[str, Any]) -> Case:
         truth.append(np.concatenate([x, effect]))
         y.append(x + np.array([[POSITION_SD], [SPEED_SD]]) * noise.uniform(-1.5, 1.5, 2))
     received = np.ones((STEPS, 2, n), dtype=bool)
-    tape = Tape(RUNS, start, np.stack(u), (1.0,) * STEPS, np.stack(y), received, np.stack(truth), (True,) * STEPS)
+    tape = Tape(RUNS, start, np.stack(u), (1.0,) * STEPS, np.stack(y), received, np.stack(truth), (True,) * STEPS,
+                tuple(range(1, STEPS + 1)), tuple(PERIOD * k for k in range(STEPS)), (PERIOD,) * STEPS, (None,) * STEPS)
     return Case("small model", with_gaps(tape, streams), small_model, streams, parameters, exact_parts=True)
 
 
@@ -188,9 +221,11 @@ def _tape(initial_mean: Array, steps: list[Step]) -> Tape:
     events = [(step, number, event) for step in steps for number, event in enumerate(step.events)]
     return Tape(
         RUNS, np.array(initial_mean), np.stack([step.u for step, _, _ in events]),
-        tuple(event.portion if isinstance(event.portion, float) else np.array(event.portion) for _, _, event in events),
+        tuple(event.share if isinstance(event.share, float) else np.array(event.share) for _, _, event in events),
         np.stack([event.y for _, _, event in events]), np.stack([event.received for _, _, event in events]),
-        np.stack([step.truth for step, _, _ in events]), tuple(number == 0 for _, number, _ in events))
+        np.stack([step.truth for step, _, _ in events]), tuple(number == 0 for _, number, _ in events),
+        tuple(step.number for step, _, _ in events), tuple(step.start for step, _, _ in events),
+        tuple(step.length for step, _, _ in events), tuple(event.covariance for _, _, event in events))
 
 
 def with_gaps(tape: Tape, streams: Streams) -> Tape:

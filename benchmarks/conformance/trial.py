@@ -16,6 +16,8 @@ from ...estimators.interface import Estimate, Estimator
 from ...scenarios.arrays import Array
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
+from ...scenarios.world import Step
+from ..running.loop import Loop, Observer
 from .tapes import Case, Tape
 
 HERE = Path(__file__).resolve().parents[2]
@@ -73,6 +75,24 @@ class Rule(NamedTuple):
     test: Callable[[Trial], str | None]
 
 
+class _Recorder(Observer):
+    """Copies every estimate, in words when it was made."""
+
+    predicted_wanted = updated_wanted = every = True
+
+    def __init__(self, first: Estimate) -> None:
+        self.estimates, self.when, self.event = [_copied(first)], ["at the start"], 0
+
+    def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
+        self.estimates.append(_copied(estimate))
+        self.when.append(f"after the prediction of event {self.event}")
+
+    def updated(self, step: Step, event: int, estimate: Estimate) -> None:
+        self.estimates.append(_copied(estimate))
+        self.when.append(f"after the measurement of event {self.event}")
+        self.event += 1
+
+
 def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | None = None,
          model: DesignModel | None = None, skip: bool = False) -> Record:
     """What an estimator says of a tape. skip: it is not called where no run has anything to do. Raises what it raises,
@@ -84,20 +104,10 @@ def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | 
         estimator.design(model)
         streams = Streams(case.streams.seed, case.streams.scenario, case.streams.variant, tape.runs)
         estimator.start(model, len(tape.runs), streams("estimator", "checked"))
-        estimates, when = [_copied(estimator.estimate())], ["at the start"]
-        for e, portion in enumerate(tape.portions):
-            if estimator.oracle and tape.begins[e]:
-                estimator.reveal(tape.truth[e])
-            still = isinstance(portion, float) and portion == 0.0
-            if not still and not (skip and not np.any(portion)):
-                estimator.predict(tape.u[e], portion)
-            estimates.append(_copied(estimator.estimate()))
-            when.append(f"after the prediction of event {e}")
-            if not (skip and not tape.received[e].any()):
-                estimator.update(tape.y[e], tape.received[e])
-            estimates.append(_copied(estimator.estimate()))
-            when.append(f"after the measurement of event {e}")
-    return Record(estimates, when, np.array(estimator.status), dict(estimator.reasons))
+        recorder = _Recorder(estimator.estimate())
+        for _ in Loop(tape, estimator, recorder, idle=not skip).steps():
+            pass
+    return Record(recorder.estimates, recorder.when, np.array(estimator.status), dict(estimator.reasons))
 
 
 def raised(error: Exception) -> str:

@@ -1,6 +1,4 @@
-"""Driving one estimator through one world: the only loop in the suite that feeds measurements, one step at a time.
-
-Causality holds by construction, closed loops work, and estimators' time is measured apart from everything else."""
+"""Driving one estimator through one world and scoring it: a watched `Loop`, and what is left of it afterwards."""
 
 from __future__ import annotations
 
@@ -19,6 +17,7 @@ from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
 from ..scoring.scorer import Scored, Scorer
 from ..scoring.windows import WindowErrors
+from .loop import Loop, Observer
 
 Watch = Callable[[int, Estimate, Step], None]
 
@@ -36,83 +35,68 @@ class Driven:
     world: World
 
 
+class _Scoring(Observer):
+    """Scores the estimates of a drive as they come. seconds: what that took."""
+
+    def __init__(self, setting: Setting[Any], world: World, estimator: Estimator, model: DesignModel,
+                 watch: Watch | None) -> None:
+        score = setting.config.score
+        self.skip = int(np.searchsorted(step_times(world), score.skip - 1e-9))
+        self.runs, self.nx, self.watch, self.seconds = world.initial_mean.shape[1], model.nx, watch, 0.0
+        self.scorer = Scorer(setting.quantities(), self.runs, world.steps, self.skip, dict(score.divergence),
+                             model.performance)
+        self.windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), self.runs)
+        self.predicted_wanted = score.at == "prediction" and estimator.predicts
+        self.updated_wanted = not self.predicted_wanted
+        self.k, self.good = 0, tuple[Any, ...]()
+
+    def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
+        begun, k = perf_counter(), self.k
+        self.scorer.add(k, self._checked(estimate, step), step)
+        if k >= self.skip:
+            self.windows.add(estimate, step)
+        if self.watch:
+            self.watch(k, estimate, step)
+        self.seconds += perf_counter() - begun
+
+    updated = predicted
+
+    def _checked(self, estimate: Estimate, step: Step) -> Estimate:
+        """The same, after a look at its arrays where any has another shape than before. Raises TypeError."""
+        shapes = tuple(getattr(value, "shape", None) for value in (
+            estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid, estimate.bound))
+        if shapes != self.good:
+            wrong = misshapen(estimate, self.nx, self.runs, len(step.truth) - self.nx)
+            if wrong:
+                raise TypeError(f"estimate(): {wrong}")
+            self.good = shapes
+        return estimate
+
+
 def drive(setting: Setting[Any], world: World, estimator: Estimator, model: DesignModel, random: RunRandom,
           watch: Watch | None = None) -> Driven:
     """Run a designed estimator through a world and score it as the scenario says. `watch` sees each scored step."""
-    score = setting.config.score
-    skip = int(np.searchsorted(step_times(world, setting.config.time.period), score.skip - 1e-9))
-    runs = world.initial_mean.shape[1]
-    scorer = Scorer(setting.quantities(), runs, world.steps, skip, dict(score.divergence), model.performance)
-    windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), runs)
-    before_update = score.at == "prediction" and estimator.predicts
-    seconds = scoring = 0.0
-
-    def scored(k: int, estimate: Estimate, step: Step) -> float:
-        """Score an estimate; the seconds it took."""
-        begun = perf_counter()
-        scorer.add(k, checked(estimate, step), step)
-        if k >= skip:
-            windows.add(estimate, step)
-        if watch:
-            watch(k, estimate, step)
-        return perf_counter() - begun
-
-    good: tuple[Any, ...] | None = None
-
-    def checked(estimate: Estimate, step: Step) -> Estimate:
-        """The same, after a look at its arrays where any has another shape than before. Raises TypeError."""
-        nonlocal good
-        shapes = tuple(getattr(value, "shape", None) for value in (
-            estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid, estimate.bound))
-        if shapes != good:
-            wrong = misshapen(estimate, model.nx, runs, len(step.truth) - model.nx)
-            if wrong:
-                raise TypeError(f"estimate(): {wrong}")
-            good = shapes
-        return estimate
-
+    scoring = _Scoring(setting, world, estimator, model, watch)
+    runs = scoring.runs
     begun = perf_counter()
     estimator.start(model, runs, random)
-    estimate = estimator.estimate()
-    seconds += perf_counter() - begun
-    mean = estimate.mean
-    driven, active, counts, extremes = 0, np.zeros(runs), dict[str, Array](), dict[str, Array]()
-    for k in range(world.steps):
-        step = world.step(k, mean)
-        if not step.active.any():
-            break
-        last = len(step.events) - 1
-        if estimator.oracle:
-            estimator.reveal(step.truth)
-        begun = perf_counter()
-        for number, event in enumerate(step.events):
-            if not (isinstance(event.portion, float) and event.portion == 0.0):
-                estimator.predict(step.u, event.portion)
-            if before_update and number == last:
-                estimate = estimator.estimate()
-                seconds += perf_counter() - begun
-                scoring += scored(k, estimate, step)
-                begun = perf_counter()
-            estimator.update(event.y, event.received)
-        if not before_update or world.closed_loop:
-            estimate = estimator.estimate()
-            mean = estimate.mean
-        seconds += perf_counter() - begun
-        if not before_update:
-            scoring += scored(k, estimate, step)
-        driven += 1
+    started = perf_counter() - begun
+    loop = Loop(world, estimator, scoring)
+    active, counts, extremes = np.zeros(runs), dict[str, Array](), dict[str, Array]()
+    for step in loop.steps():
+        scoring.k += 1
         active += step.active
         for name, count in estimator.counters().items():
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)
         for name, value in estimator.extremes().items():
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
-    found = scorer.finish(estimator.status, estimator.reasons)
+    found = scoring.scorer.finish(estimator.status, estimator.reasons)
     bad = found.status != 0
-    outcomes = {**windows.finish(), **setting.outcomes(world, found.metrics)}
+    outcomes = {**scoring.windows.finish(), **setting.outcomes(world, found.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}
-    return Driven(found, outcomes, seconds, scoring, driven, world)
+    return Driven(found, outcomes, started + loop.seconds, scoring.seconds, scoring.k, world)
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],

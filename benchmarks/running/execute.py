@@ -89,7 +89,7 @@ class _Worlds:
         if self.shared.closed_loop:
             return out  # those belong to each estimator
         extra: dict[str, np.ndarray] = getattr(self.shared, "extra", {})
-        times = step_times(self.shared, self.setting.config.time.period)
+        times = step_times(self.shared)
         for position, run in enumerate(self.task.runs):
             if run < self.task.keep:
                 for name, values in extra.items():
@@ -127,7 +127,7 @@ class _Block:
         else:
             self.rows.append(self._table(runs, driven))
             self.curves += _curves(self.task, self.label, self.setting, driven)
-            self.kept += watch.tables(step_times(driven.world, self.setting.config.time.period))
+            self.kept += watch.tables(step_times(driven.world))
             if driven.world.closed_loop:
                 self.kept += watch.extras(driven.world)
 
@@ -203,6 +203,7 @@ class FirstSteps:
     def __init__(self, world: World, steps: int) -> None:
         self._world, self.steps = world, min(steps, world.steps)
         self.initial_mean, self.closed_loop = world.initial_mean, world.closed_loop
+        self.lengths = world.lengths[:self.steps]
 
     def step(self, k: int, mean: Any) -> Step:
         return self._world.step(k, mean)
@@ -210,7 +211,7 @@ class FirstSteps:
 
 def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> list[pa.Table]:
     """Sums over the runs per step, a table a quantity; NEES under the quantity name `nees`."""
-    curves, times = driven.scored.curves, step_times(driven.world, setting.config.time.period)
+    curves, times = driven.scored.curves, step_times(driven.world)
     steps = np.flatnonzero(curves["active"] > 0)
     tables = []
     for q, item in enumerate(setting.quantities()):
@@ -296,7 +297,7 @@ class _Keeper:
     def extras(self, world: World) -> list[pa.Table]:
         """A closed-loop world's own figures data, which belong to this estimator."""
         extra: dict[str, np.ndarray] = getattr(world, "extra", {})
-        times = step_times(world, self.setting.config.time.period)
+        times = step_times(world)
         return [_trajectory(self.task, self.label, self.runs[p], times, np.arange(len(values)), name,
                             np.asarray(values)[:, p].astype(float))
                 for p in self.positions for name, values in extra.items()]

@@ -18,6 +18,7 @@ from ..planning.plan import Cell, Plan, own
 from ..scoring.columns import TIMING
 from .drive import prepare
 from .isolation import Ended, Isolation, isolation
+from .loop import Loop, Observer
 
 WARM_UP, STEPS, SECONDS = 5, 400, 0.15
 
@@ -71,25 +72,14 @@ def measure(cell: Cell, label: str, seed: int, plugins: Sequence[str] = ()) -> t
         info = estimator.design(model)
         design = float(info.get("design_s", perf_counter() - begun))
         estimator.start(model, 1, streams("estimator", label))
-        mean = estimator.estimate().mean
+        loop = Loop(world, estimator, Observer())
         seconds: list[float] = []
-        total = 0.0
         for k in range(min(world.steps, STEPS + WARM_UP)):
-            step = world.step(k, mean)
-            if not step.active.any() or total > SECONDS:
+            before = loop.seconds
+            if sum(seconds) > SECONDS or loop.step(k) is None:
                 break
-            if estimator.oracle:
-                estimator.reveal(step.truth)
-            begun = perf_counter()
-            for event in step.events:
-                if not (isinstance(event.portion, float) and event.portion == 0.0):
-                    estimator.predict(step.u, event.portion)
-                estimator.update(event.y, event.received)
-            mean = estimator.estimate().mean
-            taken = perf_counter() - begun
             if k >= WARM_UP:
-                seconds.append(taken)
-                total += taken
+                seconds.append(loop.seconds - before)
     except (Exception, SystemExit):  # the rows already tell what it raised
         return np.nan, np.array([])
     return design, np.array(seconds)

@@ -15,6 +15,7 @@ from filterpy.kalman import (
 
 from ...estimators.sigma_point import UnscentedKalman
 from ...scenarios.arrays import Array
+from ...scenarios.measurement import Interval, untold
 from ...scenarios.metro.setting import Metro
 from .measure import Row, cell_of, latency, line, ours, peer, recorded
 
@@ -81,8 +82,10 @@ class _Loop:
         self.label, self.plain, self.world = label, PlainMetro(setting), recorded(cell, PEER_RUNS)
         model = setting.design_model({}, self.world.initial_mean)
         assert model.process_covariance and model.measurement_covariance
-        self.Q = model.process_covariance(self.world.initial_mean, self.world.u[0], 0, 1.0)[:, :, 0].copy()
-        self.R, self.P0 = model.measurement_covariance(0)[:, :, 0].copy(), model.initial_covariance[:, :, 0].copy()
+        whole = Interval(1, 0.0, self.plain.period)
+        self.Q = model.process_covariance(self.world.initial_mean, self.world.u[0], whole)[:, :, 0].copy()
+        self.R = model.measurement_covariance(untold(1, 2))[:, :, 0].copy()
+        self.P0 = model.initial_covariance[:, :, 0].copy()
 
     def run(self) -> tuple[int, Array]:
         """All runs; returns the number of run-steps and the final means (2, runs)."""

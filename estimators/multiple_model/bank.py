@@ -6,9 +6,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ...scenarios.arrays import Array, Mask
+from ...scenarios.arrays import Array
+from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel, Modes
-from ..interface import Estimate, Estimator, Status, flag
+from ..interface import Estimate, Estimator, Innovation, Status, flag
 from ..kernels.modes import kalman_block, mixture, whitened
 from ..mode_grid import VARIANCE_FLOOR
 
@@ -75,11 +76,13 @@ class ModeFilters(Estimator):
         """Predict with A (S or 1, nx, nx, m) and B u = drive (S, nx, m)."""
         filters(A, drive, self.support, self.Q, self.C, self.R, self.x, self.P, self.logw, *self.nothing, self.alive)
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> Innovation | None:
         still = np.zeros_like(self.x)
         filters(self.eye, still, np.eye(len(self.Q)) != 0, np.zeros_like(self.Q), self.C, self.R, self.x, self.P,
-                self.logw, np.ascontiguousarray(y.T), np.ascontiguousarray(received.T), self.alive)
+                self.logw, np.ascontiguousarray(measurement.y.T), np.ascontiguousarray(measurement.received.T),
+                self.alive)
         flag(self, ~self.alive, Status.failed, "all modes became impossible")
+        return None
 
     def claim(self, states: NDArray[np.bool_], parameter: Array) -> Estimate:
         """The estimate, its covariance claimed up to the last of `states` (nx,)."""

@@ -10,11 +10,12 @@ import numpy as np
 from numba import njit
 from pydantic import Field, model_validator
 
-from ...scenarios.arrays import Array, Mask
-from ...scenarios.model import DesignModel, Portion, whole_steps
+from ...scenarios.arrays import Array
+from ...scenarios.measurement import Interval, Measurement
+from ...scenarios.model import DesignModel, whole_steps
 from ...scenarios.randomness import RunRandom
 from .. import mode_grid as transitions
-from ..interface import Estimate, Parameters, used_with
+from ..interface import Estimate, Innovation, Parameters, used_with
 from ..kernels.modes import mixture, normalise
 from ..mode_grid import known_states
 from .bank import ModeFilters
@@ -83,18 +84,18 @@ class InteractingMultipleModel(ModeFilters):
             return transitions.uniform(len(grid))
         return transitions.tridiagonal(len(grid), self.parameters.stay)
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         """Whole sampling periods only: raises Unsupported otherwise."""
-        whole_steps(portion, type(self).__name__)
+        whole_steps(interval, type(self).__name__)
         _mix(self.log_transition, self.x, self.P, self.logw, self.alive)
         drive = np.zeros_like(self.x)
         for i, j, l in np.ndindex(self.modes.B.shape[1], len(self.modes.grid), len(u)):
             drive[:, i, j] += self.modes.B[j, i, l] * u[l]
         self.advance(self.A, drive)
 
-    def update(self, y: Array, received: Mask) -> None:
-        super().update(y, received)
+    def update(self, measurement: Measurement) -> Innovation | None:
         self.kalman_updates += len(self.modes.grid)
+        return super().update(measurement)
 
     def estimate(self) -> Estimate:
         return self.claim(self.uncertain, self.parameter)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array
-from ...scenarios.model import DesignModel, Modes, Portion, whole_steps
+from ...scenarios.measurement import Interval
+from ...scenarios.model import DesignModel, Modes, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate
 from .bank import ModeFilters
@@ -38,9 +39,9 @@ class KnownParameterKalman(ModeFilters):
     def reveal(self, truth: Array) -> None:
         self.told = truth[self.model.nx:self.model.nx + 1].copy()
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         """Whole sampling periods only: raises Unsupported otherwise."""
-        whole_steps(portion, type(self).__name__)
+        whole_steps(interval, type(self).__name__)
         theta, grid = self.told[0], self.modes.grid[self.order]
         A, B = self.modes.A[self.order], self.modes.B[self.order]
         drive = np.zeros_like(self.x)

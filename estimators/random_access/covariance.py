@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from ...scenarios.arrays import Array
@@ -34,23 +32,28 @@ def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -
 
 
 class Covariance:
-    """The covariance P (nx, nx) after k predictions, and those that follow from it, each computed once.
+    """A covariance P (nx, nx), and those that follow from it by the matrices of a step, each computed once.
 
-    They depend on the order of predictions and updates only, so they serve every batch of runs of one model."""
+    They depend on the steps of the predictions and updates only, so they serve every batch of runs of one model."""
 
-    def __init__(self, linear: Linear, reception: Reception, P: Array, k: int = 0) -> None:
-        self.linear, self.reception, self.P, self.k = linear, reception, P, k
+    def __init__(self, linear: Linear, reception: Reception, P: Array) -> None:
+        self.linear, self.reception, self.P = linear, reception, P
+        self._predicted: dict[int, Covariance] = {}
+        self._updated: dict[int, tuple[Array, Covariance]] = {}
 
-    @cached_property
-    def predicted(self) -> Covariance:
-        P = predicted_covariance(self.linear, self.P, self.k)
-        return Covariance(self.linear, self.reception, P, self.k + 1)
+    def predicted(self, k: int) -> Covariance:
+        """From step k to k + 1."""
+        if k not in self._predicted:
+            P = predicted_covariance(self.linear, self.P, k)
+            self._predicted[k] = Covariance(self.linear, self.reception, P)
+        return self._predicted[k]
 
-    @cached_property
-    def updated(self) -> tuple[Array, Covariance]:
-        """The gain, and what it leads to."""
-        K, P = updated_covariance(self.linear, self.reception, self.P, self.k)
-        return K, Covariance(self.linear, self.reception, P, self.k)
+    def updated(self, k: int) -> tuple[Array, Covariance]:
+        """The gain of the measurement of step k, and what it leads to."""
+        if k not in self._updated:
+            K, P = updated_covariance(self.linear, self.reception, self.P, k)
+            self._updated[k] = K, Covariance(self.linear, self.reception, P)
+        return self._updated[k]
 
     @classmethod
     def initial(cls, model: DesignModel) -> Covariance:
@@ -60,8 +63,8 @@ class Covariance:
     def sequence(self, horizon: int) -> tuple[list[Array], Array]:
         """See `covariance_sequence`."""
         now, gains, covariances = self, [], [self.P]
-        for _ in range(horizon):
-            K, now = now.predicted.updated
+        for k in range(horizon):
+            K, now = now.predicted(k).updated(k + 1)
             gains.append(K)
             covariances.append(now.P)
         return gains, np.array(covariances)

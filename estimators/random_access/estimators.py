@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from ...scenarios.arrays import Array, Mask
+from ...scenarios.arrays import Array
 from ...scenarios.errors import Unsupported
-from ...scenarios.model import DesignModel, Portion, product, whole_steps
+from ...scenarios.measurement import Interval, Measurement
+from ...scenarios.model import DesignModel, product, whole_steps
 from ...scenarios.randomness import RunRandom
-from ..interface import Estimate, Estimator, Parameters, Status, flag
+from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import Kalman
 from .bounds import M_MAX, SIGMA_MAX, CovarianceBounds
 from .covariance import Covariance
@@ -106,19 +107,21 @@ class RandomAccessFilter(Estimator):
         self._now = self._initial
         self._mean = model.initial_mean
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        whole_steps(portion, type(self).__name__)
-        self._mean = self.model.transition(self._mean, u, self._now.k, 1.0)
-        self._now = self._now.predicted
+    def predict(self, u: Array, interval: Interval) -> None:
+        whole_steps(interval, type(self).__name__)
+        self._mean = self.model.transition(self._mean, u, interval)
+        self._now = self._now.predicted(interval.depart)
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> Innovation | None:
         """(6): the mean moves by K times the innovation of the elements received."""
         if not np.isfinite(self._now.P).all():
             flag(self, np.ones(self.runs, dtype=bool), Status.failed, "the covariance grew beyond all bounds")
-            return
-        innovation = np.where(received, y - self.model.measurement(self._mean, self._now.k), 0.0)
-        K, self._now = self._now.updated
+            return None
+        at = measurement.step
+        innovation = np.where(measurement.received, measurement.y - self.model.measurement(self._mean, at), 0.0)
+        K, self._now = self._now.updated(at)
         self._mean = self._mean + product(K, innovation)
+        return None
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._now.P[:, :, None])

@@ -19,6 +19,7 @@ from filterpy.kalman import (
 from pydantic import model_validator
 
 from ...scenarios.arrays import Array
+from ...scenarios.measurement import Interval
 from ..adapters import Indices, PerRun, RunModel
 from ..kalman import ExtendedKalman
 from ..sigma_point import CubatureKalman, UnscentedKalman
@@ -33,15 +34,16 @@ class FilterpyExtended(PerRun):
     source = SOURCE
     needs = ExtendedKalman.needs
     claims = ("covariance",)
+    honours = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
         filter = ExtendedKalmanFilter(model.nx, model.ny)
         filter.x, filter.P = model.x0, model.P0
         return filter
 
-    def predict_run(self, filter: Any, model: RunModel, u: Array, portion: float) -> None:
-        filter.F, filter.Q = model.F(filter.x, u, portion), model.Q(filter.x, u, portion)
-        moved = model.f(filter.x, u, portion)
+    def predict_run(self, filter: Any, model: RunModel, u: Array, interval: Interval) -> None:
+        filter.F, filter.Q = model.F(filter.x, u, interval), model.Q(filter.x, u, interval)
+        moved = model.f(filter.x, u, interval)
         filter.predict()
         filter.x = moved
 
@@ -66,6 +68,7 @@ class FilterpyUnscented(PerRun):
     source = SOURCE
     needs = UnscentedKalman.needs
     claims = ("covariance",)
+    honours = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
         p, n = self.parameters, model.nx
@@ -77,9 +80,9 @@ class FilterpyUnscented(PerRun):
         filter.drawn = False
         return filter
 
-    def predict_run(self, filter: Any, model: RunModel, u: Array, portion: float) -> None:
-        filter.Q = model.Q(filter.x, u, portion)
-        filter.predict(fx=lambda x, dt: model.f(x, u, portion))
+    def predict_run(self, filter: Any, model: RunModel, u: Array, interval: Interval) -> None:
+        filter.Q = model.Q(filter.x, u, interval)
+        filter.predict(fx=lambda x, dt: model.f(x, u, interval))
         filter.drawn = True
 
     def update_run(self, filter: Any, model: RunModel, y: Array, got: Indices) -> None:
@@ -98,17 +101,18 @@ class FilterpyCubature(PerRun):
     source = SOURCE
     needs = CubatureKalman.needs
     claims = ("covariance",)
+    honours = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
         filter: Any = CubatureKalmanFilter(model.nx, model.ny, 1.0, model.h, model.f)
         filter.x, filter.P, filter.centre = np.zeros((model.nx, 1)), model.P0, model.x0
         return filter
 
-    def predict_run(self, filter: Any, model: RunModel, u: Array, portion: float) -> None:
+    def predict_run(self, filter: Any, model: RunModel, u: Array, interval: Interval) -> None:
         centre = filter.centre
-        moved = model.f(centre, u, portion)
-        filter.Q = model.Q(centre, u, portion)
-        filter.fx = lambda x, dt: model.f(centre + x, u, portion) - moved
+        moved = model.f(centre, u, interval)
+        filter.Q = model.Q(centre, u, interval)
+        filter.fx = lambda x, dt: model.f(centre + x, u, interval) - moved
         filter.predict()
         self._recentre(filter, moved)
 

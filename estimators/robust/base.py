@@ -11,7 +11,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Unsupported
-from ...scenarios.model import Bounds, DesignModel, Portion
+from ...scenarios.measurement import Interval, Measurement, untold
+from ...scenarios.model import Bounds, DesignModel
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimator, Parameters, Status, flag
 from .small import contraction
@@ -72,7 +73,7 @@ class Robust(Estimator):
         if self.parameters.sigmas is None or model.measurement_covariance is None:
             return v_bar
         return np.where(np.isfinite(v_bar), v_bar, self.parameters.sigmas * np.sqrt(
-            np.diagonal(model.measurement_covariance(0)[:, :, 0])))
+            np.diagonal(model.measurement_covariance(untold(0, model.ny))[:, :, 0])))
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
@@ -86,11 +87,11 @@ class Robust(Estimator):
             v_bar = self._sensor_bounds(model)
             self._usable[:, 0] = np.isfinite(v_bar)
             self._v = np.where(self._usable[:, 0], v_bar, 0.0)
+        self._still = plain(np.diag(self._v**2)[:, :, None])
         self._none = np.zeros((model.ny, runs), dtype=bool)
         self._K = np.zeros((nx, model.ny, runs))
         self._verdict = np.zeros(runs, dtype=np.int64)
         self.stability = np.zeros(runs)
-        self._k = 0
         self._convex: Any = None
         self._rest()
 
@@ -100,28 +101,27 @@ class Robust(Estimator):
         self._A = np.eye(self.model.nx)[:, :, None]
         self._g, self._kappa = np.zeros_like(self._whole), np.zeros(self.runs)
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        model, bounds, x, k = self.model, bounds_of(self.model), self._x, self._k
+    def predict(self, u: Array, interval: Interval) -> None:
+        model, bounds, x = self.model, bounds_of(self.model), self._x
         assert model.transition_jacobian is not None
         if self._moved.any():
             assert model.measurement_jacobian is not None
-            self._correct(plain(model.measurement_jacobian(x, k)), self._none)
-        moved = np.full(self.runs, np.asarray(portion) != 0.0)
-        part = moved & (np.asarray(portion) != 1.0)
-        A = plain(model.transition_jacobian(x, u, k, portion))
+            self._correct(plain(model.measurement_jacobian(x, interval.depart)), self._none, self._still)
+        moved = interval.moving(self.runs).copy()
+        part = moved & (np.asarray(interval.length) != model.period)
+        A = plain(model.transition_jacobian(x, u, interval))
         kappa, g = self._factor(x, u), self._whole
         if part.any():
             if bounds.part is None or bounds.M is not None:
                 flag(self, part, Status.infeasible, "the bounds hold for whole sampling periods only")
             else:
-                g = plain(bounds.part(portion) * bounds.w_bar[:, None])
-        after = plain(model.transition(x, u, k, portion))
+                g = plain(bounds.part(interval) * bounds.w_bar[:, None])
+        after = plain(model.transition(x, u, interval))
         if not moved.all():
             after = np.where(moved, after, x)
             A = np.where(moved, A, np.eye(model.nx)[:, :, None])
             g, kappa = np.where(moved, g, 0.0), np.where(moved, kappa, 0.0)
         self._x, self._A, self._g, self._kappa, self._moved = after, A, g, kappa, moved
-        self._k = k + 1
 
     def _factor(self, x: Array, u: Array) -> Array:
         """kappa (S,) of the step about to be predicted."""
@@ -132,26 +132,30 @@ class Robust(Estimator):
             return np.zeros(self.runs)
         return plain(bounds.kappa(x, u, self._region()))
 
-    def update(self, y: Array, received: Mask) -> None:
-        model = self.model
+    def update(self, measurement: Measurement) -> None:
+        model, at = self.model, measurement.step
         assert model.measurement_jacobian is not None
-        C = plain(model.measurement_jacobian(self._x, self._k))
-        received = received & self._usable
-        innovation = np.where(received, y - model.measurement(self._x, self._k), 0.0)
-        self._correct(C, received)
+        C = plain(model.measurement_jacobian(self._x, at))
+        received = measurement.received & self._usable
+        innovation = np.where(received, measurement.y - model.measurement(self._x, at), 0.0)
+        self._correct(C, received, self._noise(measurement))
         x = self._x.copy()
         for j in range(model.ny):
             x += self._K[:, j] * innovation[j]
         self._x = x
 
-    def _correct(self, C: Array, received: Mask) -> None:
+    def _correct(self, C: Array, received: Mask, R: Array) -> None:
         """Find K (and the bound) of the waiting prediction and these measurements; flag runs without."""
-        self._find(C, received)
+        self._find(C, received, R)
         for verdict in np.unique(self._verdict[self._verdict > 0]):
             flag(self, self._verdict == verdict, Status.infeasible, REASONS[int(verdict)])
         self._rest()
 
-    def _find(self, C: Array, received: Mask) -> None:
+    def _noise(self, measurement: Measurement) -> Array:
+        """R (ny, ny, S or 1): diag(v_bar^2), or second moments of the noise (F3)."""
+        return self._still
+
+    def _find(self, C: Array, received: Mask, R: Array) -> None:
         raise NotImplementedError
 
     def _region(self) -> Array:

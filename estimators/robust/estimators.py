@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 
 from ...scenarios.arrays import Array, Mask
+from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Status
@@ -52,19 +53,15 @@ class _Recursive(Robust):
     def _region(self) -> Array:
         return self._Pi
 
-    def _noise(self) -> Array:
-        """R (ny, ny): the noise's second moments (F3), or diag(v_bar^2) (F2)."""
-        raise NotImplementedError
-
-    def _find(self, C: Array, received: Mask) -> None:
+    def _find(self, C: Array, received: Mask, R: Array) -> None:
         if self.parameters.solver == "cvxpy":
-            self._find_convex(C, received)
+            self._find_convex(C, received, R)
         else:
-            recursive_step(self._Pi, self._moved, self._A, self._M, self._N, self._kappa, self._g, C, self._noise(),
+            recursive_step(self._Pi, self._moved, self._A, self._M, self._N, self._kappa, self._g, C, R,
                            received, self.ellipsoid, self._K, self._P, self.stability, self._verdict)
         self._Pi, self._P = self._P, self._Pi
 
-    def _find_convex(self, C: Array, received: Mask) -> None:
+    def _find_convex(self, C: Array, received: Mask, R: Array) -> None:
         from .convex import RecursiveProblem
 
         nx, ny = self.model.nx, self.model.ny
@@ -76,7 +73,8 @@ class _Recursive(Robust):
                 self._K[:, :, run] = 0.0
                 continue
             A, N, g, H = self._of_run(C, run)
-            solution = self._convex.solve(self._Pi[:, :, run], A, self._M, N, g, H, self._noise(), received[:, run])
+            mine = R[:, :, min(run, R.shape[2] - 1)]
+            solution = self._convex.solve(self._Pi[:, :, run], A, self._M, N, g, H, mine, received[:, run])
             if np.isfinite(solution.objective):
                 self._P[:, :, run] = solution.P
                 self._note(run, C, solution.K)
@@ -88,9 +86,9 @@ class _Recursive(Robust):
         if not self._moved.any():
             return self._Pi
         nx, ny = self.model.nx, self.model.ny
-        P, C = np.empty_like(self._Pi), np.zeros((ny, nx, 1))
-        recursive_step(self._Pi, self._moved, self._A, self._M, self._N, self._kappa, self._g, C, np.eye(ny),
-                       self._none, self.ellipsoid, self._K.copy(), P, np.zeros(self.runs), self._verdict.copy())
+        P, C, R = np.empty_like(self._Pi), np.zeros((ny, nx, 1)), np.eye(ny)[:, :, None]
+        recursive_step(self._Pi, self._moved, self._A, self._M, self._N, self._kappa, self._g, C, R, self._none,
+                       self.ellipsoid, self._K.copy(), P, np.zeros(self.runs), self._verdict.copy())
         return P
 
 
@@ -106,9 +104,6 @@ class RobustEllipsoid(_Recursive):
     claims = ("ellipsoid",)
     ellipsoid = True
 
-    def _noise(self) -> Array:
-        return np.diag(self._v**2)
-
     def estimate(self) -> Estimate:
         return Estimate(self._x, ellipsoid=self._bound())
 
@@ -123,12 +118,13 @@ class RobustMeanSquare(_Recursive):
     summary = "mean-square error bound: bounded disturbance, noise by its second moments (F3)"
     claims = ("bound",)
     needs = (*Robust.needs, "measurement_covariance")
+    honours = ("covariance",)
     sensors_bounded = False
     ellipsoid = False
 
-    def _noise(self) -> Array:
+    def _noise(self, measurement: Measurement) -> Array:
         assert self.model.measurement_covariance is not None
-        return plain(self.model.measurement_covariance(self._k)[:, :, 0])
+        return plain(self.model.measurement_covariance(measurement))
 
     def estimate(self) -> Estimate:
         M = self.model.performance
@@ -162,7 +158,7 @@ class RobustBounded(Robust):
     def _region(self) -> Array:
         return self._P0
 
-    def _find(self, C: Array, received: Mask) -> None:
+    def _find(self, C: Array, received: Mask, R: Array) -> None:
         if self.parameters.solver == "fast":
             memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._v, C, received,
                             self.parameters.mu, self._K, self._P, self._objective, self.stability, self._verdict)

@@ -195,10 +195,10 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
 
     Pi (n, n, S): the last bound. moved (S,): runs with a prediction; the others keep P = Pi if nothing was received.
     A (n, n, S or 1). M, N (n,), kappa (S,): linearisation error A + M Delta kappa N. gw (n, nw, S or 1): columns of
-    disturbance times their bounds. C (ny, n, S or 1). R (ny, ny): second moments of the noise (F3), or diag(v_bar^2)
-    (ellipsoid). received (ny, S). Written: K (n, ny, S), read first as the warm start, columns of sensors not received
-    left alone; P (n, n, S); stability (S,) = max |(I - K C)(A + M Delta N)|^2 of this step where it is above the old
-    value; verdict (S,): 0, 1 innovation matrix singular, 2 bound not finite (both with K = 0, P = Pi)."""
+    disturbance times their bounds. C (ny, n, S or 1). R (ny, ny, S or 1): second moments of the noise (F3), or
+    diag(v_bar^2) (ellipsoid). received (ny, S). Written: K (n, ny, S), read first as the warm start, columns of sensors
+    not received left alone; P (n, n, S); stability (S,) = max |(I - K C)(A + M Delta N)|^2 of this step where it is
+    above the old value; verdict (S,): 0, 1 innovation matrix singular, 2 bound not finite (both with K = 0, P = Pi)."""
     n, runs = Pi.shape[0], Pi.shape[2]
     ny, nw = C.shape[0], gw.shape[1]
     L, S, G, V, a, b = np.empty((6, n, n))
@@ -208,6 +208,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
     root, share, rows = np.empty(1 + nw + ny), np.empty(1 + nw + ny), np.empty(ny, dtype=np.int64)
     for s in range(runs):
         sa, sc, sg, m = s if A.shape[2] > 1 else 0, s if C.shape[2] > 1 else 0, s if gw.shape[2] > 1 else 0, 0
+        sr = s if R.shape[2] > 1 else 0
         verdict[s] = 0
         for j in range(ny):
             if received[j, s]:
@@ -217,7 +218,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
             for i in range(n):
                 Cr[j, i], k[i, j] = C[rows[j], i, sc], K[i, rows[j], s]
             for l in range(m):
-                Rr[j, l] = R[rows[j], rows[l]]
+                Rr[j, l] = R[rows[j], rows[l], sr]
         if m == 0 and not moved[s]:
             P[:, :, s] = Pi[:, :, s]
             continue

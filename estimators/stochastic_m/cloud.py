@@ -12,9 +12,10 @@ from pydantic import Field
 
 from ...scenarios.arrays import Array, Index, Mask
 from ...scenarios.errors import Unsupported
-from ...scenarios.model import DesignModel, Modes, Portion, whole_steps
+from ...scenarios.measurement import Interval, Measurement
+from ...scenarios.model import DesignModel, Modes, whole_steps
 from ...scenarios.randomness import RunRandom
-from ..interface import Estimate, Estimator, Parameters, Status, flag
+from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..mode_grid import VARIANCE_FLOOR
 from . import factorised, full
 
@@ -158,18 +159,19 @@ class GridParticles(Estimator):
         self.computed = True
         flag(self, ~self.alive, Status.failed, "the weights of all particles vanished")
 
-    def predict(self, u: Array, portion: Portion) -> None:
+    def predict(self, u: Array, interval: Interval) -> None:
         """Whole sampling periods only, since the modes are discrete: raises Unsupported otherwise."""
-        whole_steps(portion, type(self).__name__)
+        whole_steps(interval, type(self).__name__)
         if self.pending:
             self._run(*self.nothing, True)
         self.inputs, self.uniforms = np.ascontiguousarray(u.T), self._draws()
         self.move(self.uniforms)
         self.pending, self.computed = True, False
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> Innovation | None:
         self.kalman_updates += self.n * (self.moving[0].shape[1] if self.pending else 1)
-        self._run(np.ascontiguousarray(y.T), np.ascontiguousarray(received.T), True)
+        self._run(np.ascontiguousarray(measurement.y.T), np.ascontiguousarray(measurement.received.T), True)
+        return None
 
     def estimate(self) -> Estimate:
         if not self.computed:

@@ -14,9 +14,10 @@ from typing import Annotated, Any, ClassVar, cast
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from ...scenarios.arrays import Array, Mask
+from ...scenarios.arrays import Array
 from ...scenarios.errors import Infeasible, InputError, Unsupported
-from ...scenarios.model import DesignModel, Portion, whole_steps
+from ...scenarios.measurement import Interval, Measurement
+from ...scenarios.model import DesignModel, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..design_cache import remember
 from ..interface import Estimate, Estimator, Parameters
@@ -101,16 +102,17 @@ class ConstantGain(Estimator):
         self._expected = np.empty((self._C.shape[0], runs))
         self._bound = None if self.bound is None else np.array([self.bound])
 
-    def predict(self, u: Array, portion: Portion) -> None:
-        whole_steps(portion, type(self).__name__)
+    def predict(self, u: Array, interval: Interval) -> None:
+        whole_steps(interval, type(self).__name__)
         apply(self._A, self._mean, self._moved)
         apply(self._B, u, self._driven)
         np.add(self._moved, self._driven, out=self._mean)
         self._mean += self._h
 
-    def update(self, y: Array, received: Mask) -> None:
+    def update(self, measurement: Measurement) -> None:
         apply(self._C, self._mean, self._expected)
-        innovation = np.subtract(y, self._expected, out=np.zeros_like(self._expected), where=received)
+        innovation = np.subtract(measurement.y, self._expected, out=np.zeros_like(self._expected),
+                                 where=measurement.received)
         apply(self._correction, innovation, self._moved)
         self._mean += self._moved
 

@@ -72,7 +72,7 @@ class Braking(Setting[BrakingConfig]):
             y[:, row] = truth[:, state] + np.sqrt(variance) * y[:, row]
         received = config.channel.draw(streams("channel"), steps, len(rows))
         u = np.repeat(self.targets[:, None, None], runs, axis=2)
-        return Trajectory(truth, u, y, received, active, np.ones(steps), start)
+        return Trajectory(truth, u, y, received, active, np.full(steps, period), start)
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """Four states with modes over the grid of f, or five with f appended, as `knowledge.model` says."""

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array
-from ..model import Bounds, DesignModel, Linear, Modes, Portion, linear_model, product, whole_steps
+from ..measurement import Interval
+from ..measurement import told as told_covariance
+from ..model import Bounds, DesignModel, Linear, Modes, linear_model, product, whole_steps
 from .plant import Affine
 
 STATES = ("displacement", "speed", "control-acceleration", "target-acceleration")
@@ -86,11 +88,11 @@ def augmented_model(told: Told, walk: Walk) -> DesignModel:
         """d (D, v, a^) / d f, shape (3, S)."""
         return np.stack([plant.A1[i, 3] * x[3] + plant.B1[i, 0] * target for i in range(3)])
 
-    def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
-        whole_steps(portion, "this model of the brake")
+    def transition(x: Array, u: Array, interval: Interval) -> Array:
+        whole_steps(interval, "this model of the brake")
         return np.concatenate([plant.step(x[:4], x[4], u[0]), x[4:]])
 
-    def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
+    def jacobian(x: Array, u: Array, interval: Interval) -> Array:
         out = np.zeros((5, 5, x.shape[1]))
         out[:4, :4] = plant.A0[:, :, None]
         out[:4, :4] += plant.A1[:, :, None] * x[4]
@@ -103,11 +105,11 @@ def augmented_model(told: Told, walk: Walk) -> DesignModel:
         measurements=told.measurements,
         period=told.period,
         transition=transition,
-        measurement=lambda x, k: product(C, x),
+        measurement=lambda x, step: product(C, x),
         transition_jacobian=jacobian,
-        measurement_jacobian=lambda x, k: C[:, :, None],
-        process_covariance=lambda x, u, k, portion: walk.covariance(sensitivity(x, u[0]), told.speed_variance),
-        measurement_covariance=lambda k: told.R[:, :, None],
+        measurement_jacobian=lambda x, step: C[:, :, None],
+        process_covariance=lambda x, u, interval: walk.covariance(sensitivity(x, u[0]), told.speed_variance),
+        measurement_covariance=told_covariance(lambda step: told.R[:, :, None]),
         initial_mean=mean,
         initial_covariance=covariance,
     )

@@ -74,7 +74,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             y=y,
             received=received,
             active=np.ones((steps, runs), dtype=bool),
-            portions=np.concatenate([[0.0], np.ones(steps - 1)]),
+            lengths=np.concatenate([[0.0], np.full(steps - 1, self.config.time.period)]),
             initial_mean=truth[0].copy(),
             extra={"received": received.any(axis=1).astype(float)},
         )

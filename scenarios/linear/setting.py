@@ -56,7 +56,7 @@ class LinearSystem(Setting[LinearConfig]):
             sensor = [node[0] for node in self.config.channel.nodes]
             extra["node"] = np.argmax(received[:, sensor, :], axis=1).astype(float)
         return Trajectory(truth, np.zeros((steps, 0, runs)), y, received, np.ones((steps, runs), dtype=bool),
-                          np.ones(steps), initial_mean, extra)
+                          np.full(steps, self.config.time.period), initial_mean, extra)
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """The plant with what [knowledge] says otherwise, its process noise B Q B'."""

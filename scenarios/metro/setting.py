@@ -14,7 +14,9 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import InputError
-from ..model import Bounds, DesignModel, Portion
+from ..measurement import Interval
+from ..measurement import told as told_covariance
+from ..model import Bounds, DesignModel
 from ..railway import dynamics as compiled
 from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
@@ -91,7 +93,7 @@ class Metro(Setting[MetroConfig]):
         position = trip.state[:, 0]
         return Trajectory(
             truth=trip.state, u=trip.u, y=y, received=config.channel.draw(streams("channel"), steps, 2),
-            active=trip.active, portions=np.ones(steps), initial_mean=np.array(self.start)[:, None] + error,
+            active=trip.active, lengths=np.full(steps, period), initial_mean=np.array(self.start)[:, None] + error,
             windows=self.sections, window=trip.section if self.sections else None,
             extra={"disturbance": trip.w, "reference-speed": trip.reference,
                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
@@ -103,33 +105,35 @@ class Metro(Setting[MetroConfig]):
         forces, slope = train.forces, line.slope(train.rotating)
         whole = np.full(initial_mean.shape[1], period)
 
-        def seconds(portion: Portion, runs: int) -> Array:
-            if isinstance(portion, float) and portion == 1.0 and runs == len(whole):
+        def seconds(interval: Interval, runs: int) -> Array:
+            if isinstance(interval.share, float) and interval.share == 1.0 and runs == len(whole):
                 return whole
-            return np.broadcast_to(period * np.asarray(portion, dtype=float), (runs,)).copy()
+            return np.broadcast_to(np.asarray(interval.length, dtype=float), (runs,)).copy()
 
-        def transition(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        def transition(x: Array, u: Array, interval: Interval) -> Array:
             points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
             out = np.empty_like(points)
-            compiled.transition(points, u[0], seconds(portion, x.shape[-1]), forces, slope, np.empty(points.shape[1:]),
+            compiled.transition(points, u[0], seconds(interval, x.shape[-1]), forces, slope, np.empty(points.shape[1:]),
                                 out)
             return out.reshape(x.shape)
 
-        def jacobian(x: Array, u: Array, k: int, portion: Portion) -> Array:
+        def jacobian(x: Array, u: Array, interval: Interval) -> Array:
             out = np.empty((2, 2, x.shape[1]))
-            compiled.transition_jacobian(x[1], u[0], seconds(portion, x.shape[1]), forces, out)
+            compiled.transition_jacobian(x[1], u[0], seconds(interval, x.shape[1]), forces, out)
             return out
 
-        def covariance(h: Array) -> Array:
-            gamma = np.array([0.5 * h * h, h]) * told.process_sd
-            return gamma[:, None] * gamma[None, :]
+        gamma = np.array([[0.5 * period * period], [period]]) * told.process_sd
+        once = (gamma * gamma.T)[:, :, None]
+        density = period * told.process_sd**2
 
-        once = covariance(np.array([period]))
-
-        def process_covariance(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            if isinstance(portion, float):
-                return once if portion == 1.0 else covariance(np.array([period * portion]))
-            return covariance(seconds(portion, x.shape[1]))
+        def process_covariance(x: Array, u: Array, interval: Interval) -> Array:
+            """A disturbance held over the whole step, gamma gamma', as the page has it. No covariance that adds up over
+            parts of a step equals that one: parts take white acceleration, whose speed variance adds up to the same."""
+            if isinstance(interval.share, float) and interval.share == 1.0:
+                return once
+            h = np.atleast_1d(np.asarray(interval.length, dtype=float))
+            parts = density * np.array([[h * h * h / 3, h * h / 2], [h * h / 2, h]])
+            return np.where(np.asarray(interval.share) == 1.0, once, parts)
 
         def kappa(x: Array, u: Array, Pi: Array) -> Array:
             out = np.full(x.shape[1], told.kappa or 0.0)
@@ -141,9 +145,9 @@ class Metro(Setting[MetroConfig]):
         identity, noise = np.eye(2)[:, :, None], np.diag(told.sensor_sd**2)[:, :, None]
         return DesignModel(
             states=("position", "speed"), measurements=("position", "speed"), period=period,
-            transition=transition, measurement=lambda x, k: x,
-            transition_jacobian=jacobian, measurement_jacobian=lambda x, k: identity,
-            process_covariance=process_covariance, measurement_covariance=lambda k: noise,
+            transition=transition, measurement=lambda x, step: x,
+            transition_jacobian=jacobian, measurement_jacobian=lambda x, step: identity,
+            process_covariance=process_covariance, measurement_covariance=told_covariance(lambda step: noise),
             initial_mean=initial_mean, initial_covariance=np.diag(np.square(told.initial_sd))[:, :, None],
             bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=np.array(told.v_bar),
                           M=np.array([[0.5 * period], [1.0]]), N=np.array([[0.0, 1.0]]), kappa=kappa),

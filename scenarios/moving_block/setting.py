@@ -10,7 +10,9 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from ..arrays import Array
-from ..model import DesignModel, Portion
+from ..measurement import Interval
+from ..measurement import told as told_covariance
+from ..model import DesignModel
 from ..randomness import Streams
 from ..setting import Outcome, Quantity, Setting
 from ..world import World
@@ -52,8 +54,8 @@ class MovingBlock(Setting[MovingBlockConfig]):
         told: Knowledge = self.resolve_knowledge(knowledge)
         identity = np.eye(4)[:, :, None]
 
-        def process_covariance(x: Array, u: Array, k: int, portion: Portion) -> Array:
-            variance = told.process_variance * np.abs(travelled(u, portion))
+        def process_covariance(x: Array, u: Array, interval: Interval) -> Array:
+            variance = told.process_variance * np.abs(travelled(u, interval.share))
             out = np.zeros((4, 4, u.shape[1]))
             for i in range(4):
                 out[i, i] = variance[i // 2]
@@ -64,11 +66,11 @@ class MovingBlock(Setting[MovingBlockConfig]):
             measurements=("x-a", "y-a", "x-b", "y-b"),
             period=self.config.time.period,
             transition=self.track.transition,
-            measurement=lambda x, k: x,
+            measurement=lambda x, step: x,
             transition_jacobian=self.track.jacobian,
-            measurement_jacobian=lambda x, k: identity,
+            measurement_jacobian=lambda x, step: identity,
             process_covariance=process_covariance,
-            measurement_covariance=lambda k: told.tag_variance * identity,
+            measurement_covariance=told_covariance(lambda step: told.tag_variance * identity),
             initial_mean=initial_mean,
             initial_covariance=told.start_variance * identity,
         )

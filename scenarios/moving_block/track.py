@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from ..arrays import Array
-from ..model import Portion
+from ..measurement import Interval, PerRun
 
 
 @njit(cache=True)
@@ -137,21 +137,21 @@ class StadiumTrack:
         """Arc lengths (count,) of evenly spaced tags, the first half a spacing behind s = 0."""
         return (np.arange(count) + 0.5) * self.length / count
 
-    def transition(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
+    def transition(self, x: Array, u: Array, interval: Interval) -> Array:
         """Both trains' planar motion (Faruqi et al. 2019, eq. (30), with the heading at the midpoint of the way, since
         the printed Euler step spirals outward). x (4, .., S), u (2, S) measured distances of a whole step."""
         points = np.ascontiguousarray(x).reshape(4, -1, x.shape[-1])
         out = np.empty_like(points)
-        _advance(points, travelled(u, portion), self.half, self.radius, out)
+        _advance(points, travelled(u, interval.share), self.half, self.radius, out)
         return out.reshape(x.shape)
 
-    def jacobian(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
+    def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
         """Jacobian (4, 4, S) of `transition` at x (4, S)."""
         out = np.zeros((4, 4, x.shape[1]))
-        _jacobian(np.ascontiguousarray(x), travelled(u, portion), self.half, self.radius, out)
+        _jacobian(np.ascontiguousarray(x), travelled(u, interval.share), self.half, self.radius, out)
         return out
 
 
-def travelled(u: Array, portion: Portion) -> Array:
-    """The share of a step's distances u (2, S) that belongs to `portion` (a number or (S,)) of the step."""
-    return np.ascontiguousarray(u * portion)
+def travelled(u: Array, share: PerRun) -> Array:
+    """The share, a number or (S,), of a step's distances u (2, S)."""
+    return np.ascontiguousarray(u * share)

@@ -150,6 +150,7 @@ class TwoTrains:
         plant, sensors = config.plant, config.sensors
         trains, signalling, rules = plant.trains, plant.signalling, plant.control
         self.steps, self.period = config.time.steps, config.time.period
+        self.lengths = np.full(self.steps, self.period)
         runs, length = len(streams.runs), track.length
         fixed = isinstance(signalling, FixedBlockSignalling)
         follow = rules.braking * (-1 + math.sqrt(1 + 4 * rules.leader_ratio)) / 2
@@ -244,12 +245,13 @@ class TwoTrains:
         self._along[k, :3] = np.where(self.active, np.stack([memory.s[0], memory.s[1], gap]), np.nan)
         self._map[k, :4] = np.where(self.active, truth, np.nan)
         self._truth, self._under_way = truth, np.repeat(np.isnan(self.lap_times), 2, axis=0)
-        return Step(u, self._events(share, tag, self.heard[k]), truth, self.active.copy(), self._under_way)
+        return Step(u, self._events(share, tag, self.heard[k]), truth, self.active.copy(), self._under_way,
+                    number=k + 1, start=k * self.period, length=self.period)
 
     def _events(self, share: Array, tag: Index, heard: Mask) -> tuple[Event, ...]:
         """Up to two readings, as far as they are heard (4, S), and the rest of the step.
 
-        A run without a (second) reading goes through it with what is left of its step first and portions of exactly
+        A run without a (second) reading goes through it with what is left of its step first and shares of exactly
         zero after, which change nothing."""
         runs = share.shape[1]
         seen = share >= 0

@@ -71,13 +71,13 @@ class Recorded(Setting[RecordedConfig]):
 
     @property
     def sampling_period(self) -> float:
-        return float(np.median(self.portions)) * self.config.time.period
+        return float(np.median(self.lengths))
 
     @property
-    def portions(self) -> Array:
-        """Length of each interval in sampling periods (K,)."""
+    def lengths(self) -> Array:
+        """Length of each interval, s, (K,)."""
         steps = min(len(self.recording.time) - 1, self.config.time.steps)
-        return np.diff(self.recording.time)[:steps] / self.config.time.period
+        return np.diff(self.recording.time)[:steps]
 
     def quantities(self) -> tuple[Quantity, ...]:
         return Quantity("position", "m", ((0, 1.0),)), Quantity("speed", "m/s", ((1, 1.0),))
@@ -87,12 +87,12 @@ class Recorded(Setting[RecordedConfig]):
         return *super().table(), ("final", "position"), *ends
 
     def batch_bytes(self) -> int:
-        return len(self.portions) * 8 * 16
+        return len(self.lengths) * 8 * 16
 
     def world(self, streams: Streams) -> Trajectory:
         """u (K, 2 or 3, S): distance m, speed m/s, control; y (K, ny, S): the sensors' readings in m, m/s, m."""
-        recording, portions, runs = self.recording, self.portions, len(streams.runs)
-        steps, random = len(portions), streams("measurement")
+        recording, lengths, runs = self.recording, self.lengths, len(streams.runs)
+        steps, random = len(lengths), streams("measurement")
         readings = {name: self._reading(name, random, steps) for name in recording.measured}
         out = self._outage(streams, steps)
         arrived = self.config.channel.draw(streams("channel"), steps, len(self.sensors))
@@ -115,14 +115,14 @@ class Recorded(Setting[RecordedConfig]):
         return Trajectory(
             truth=np.repeat(truth[:, :, None], runs, axis=2), u=self._told(readings, kept),
             y=np.where(received, y, 0.0), received=received, active=np.ones((steps, runs), dtype=bool),
-            portions=portions, initial_mean=start, extra={"outage": out.astype(float)},
+            lengths=lengths, initial_mean=start, extra={"outage": out.astype(float)},
             windows=("outage", "outage-end") if self.config.sensors.outage.place != "none" else (),
             window=window.astype(np.int16))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """See `Kinematics`. Raises Unsupported where the recording lacks what the motion told needs."""
         told: Knowledge = self.resolve_knowledge(knowledge)
-        plant, recording, portions = self.config.plant, self.recording, self.portions
+        plant, recording, lengths = self.config.plant, self.recording, self.lengths
         if told.motion == "odometer" and not {"odometer", "speed"} & set(recording.measured):
             raise Unsupported("dead reckoning needs an odometer or a speed in plant.map")
         if told.motion == "train" and (plant.line is None or plant.train is None or recording.control is None):
@@ -131,8 +131,8 @@ class Recorded(Setting[RecordedConfig]):
         drive = (Drive(plant.train.forces, plant.line.slope(plant.train.rotating)) if plant.train and plant.line
                  else None)
         kinematics = Kinematics(told, "odometer" in self.sensors, self.config.time.period, drive)
-        counted = np.diff(_held(self.recording.measured.get("odometer", np.zeros(len(portions) + 1))[:, None])[:, 0])
-        return kinematics.model(self.sensors, initial_mean, portions, counted)
+        counted = np.diff(_held(self.recording.measured.get("odometer", np.zeros(len(lengths) + 1))[:, None])[:, 0])
+        return kinematics.model(self.sensors, initial_mean, lengths, counted)
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Where the run's outage begins, s after the start of the trip; NaN without one."""
@@ -149,7 +149,7 @@ class Recorded(Setting[RecordedConfig]):
         heard = {name: _held(np.concatenate([values[:1], np.where(kept[name], values[1:], np.nan)]))
                  for name, values in readings.items() if name != "position"}
         steps, runs = next(iter(kept.values())).shape
-        length = (self.portions * self.config.time.period)[:, None]
+        length = self.lengths[:, None]
         distance, speed = np.zeros((steps, runs)), np.zeros((steps, runs))
         if "speed" in heard:
             speed = heard["speed"][1:]

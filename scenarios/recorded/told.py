@@ -13,7 +13,9 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 
 from ..arrays import Array
-from ..model import Bounds, DesignModel, Linear, Portion, product
+from ..measurement import Interval, PerRun
+from ..measurement import told as told_covariance
+from ..model import Bounds, DesignModel, Linear, product
 from ..railway import dynamics as metro_plant
 from ..railway.dynamics import Forces, Slope
 from ..schema import Strict
@@ -78,13 +80,13 @@ class Kinematics:
         return ("position", "speed", *(("shortfall", "excess") if self.odometer else ()),
                 *(("acceleration",) if self.told.motion == "jerk" else ()))
 
-    def transition(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
-        """x+ (nx, .., S) after `portion` periods; u (2 or 3, S): distance by the odometer over the interval m, speed
-        m/s, control."""
-        out, h = np.array(x, dtype=float), self.period * np.asarray(portion)
+    def transition(self, x: Array, u: Array, interval: Interval) -> Array:
+        """x+ (nx, .., S) at the end of the interval; u (2 or 3, S): distance by the odometer over the whole step m,
+        speed m/s, control."""
+        out, h, counted = np.array(x, dtype=float), np.asarray(interval.length), u[0] * interval.share
         if self.told.motion == "odometer":
-            out[0] += u[0]
-            out[1] = u[1]
+            out[0] += counted
+            out[1] = np.where(h > 0, u[1], x[1])
             return out
         jerk = self.told.motion == "jerk"
         if self.told.motion == "train":
@@ -97,7 +99,7 @@ class Kinematics:
         if jerk:
             out[1] += h * x[-1]
         if self.odometer:
-            out[2] += x[3] * u[0] if self.told.shortfall == "told" else travelled * x[3] / (1 + x[3])
+            out[2] += x[3] * counted if self.told.shortfall == "told" else travelled * x[3] / (1 + x[3])
         return out
 
     def _driven(self, x: Array, u: Array, h: Array) -> Array:
@@ -109,12 +111,12 @@ class Kinematics:
                                np.empty(points.shape[1:]), out)
         return out.reshape(2, *x.shape[1:])
 
-    def jacobian(self, x: Array, u: Array, k: int, portion: Portion) -> Array:
+    def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
         """df/dx (nx, nx, S)."""
         nx, runs = len(self.states), x.shape[1]
-        out, h = np.zeros((nx, nx, runs)), self.period * np.asarray(portion)
+        out, h = np.zeros((nx, nx, runs)), np.asarray(interval.length)
         if self.told.motion == "odometer":
-            out[0, 0] = 1.0
+            out[0, 0], out[1, 1] = 1.0, np.where(h > 0, 0.0, 1.0)
             return out
         for i in range(nx):
             out[i, i] = 1.0
@@ -129,7 +131,7 @@ class Kinematics:
         if jerk:
             out[0, nx - 1], out[1, nx - 1] = 0.5 * h * h, h
         if self.odometer and self.told.shortfall == "told":
-            out[2, 3] = u[0]
+            out[2, 3] = u[0] * interval.share
         elif self.odometer:
             travelled = h * x[1] + (0.5 * h * h * x[nx - 1] if jerk else 0.0)
             if self.told.motion == "train":
@@ -140,9 +142,9 @@ class Kinematics:
                 out[2, nx - 1] = 0.5 * h * h * x[3] / (1 + x[3])
         return out
 
-    def covariance(self, portion: Portion) -> Array:
-        """Process noise covariance (nx, nx, S or 1) over `portion` periods, exactly for white acceleration or jerk."""
-        nx, h = len(self.states), np.atleast_1d(self.period * np.asarray(portion, dtype=float))
+    def covariance(self, length: PerRun) -> Array:
+        """Process noise covariance (nx, nx, S or 1) over `length` seconds, exactly for white acceleration or jerk."""
+        nx, h = len(self.states), np.atleast_1d(np.asarray(length, dtype=float))
         out, q = np.zeros((nx, nx, len(h))), self.told.density
         if self.told.motion == "jerk":
             a = nx - 1
@@ -157,15 +159,15 @@ class Kinematics:
             out[2, 2], out[3, 3] = self.told.shortfall_density * h, self.told.excess_density * h
         return out
 
-    def gain(self, portion: Portion) -> Array:
-        """G (nx, 1, S or 1) of a bounded acceleration, constant over the interval."""
-        h = np.atleast_1d(self.period * np.asarray(portion, dtype=float))
+    def gain(self, length: PerRun) -> Array:
+        """G (nx, 1, S or 1) of a bounded acceleration, constant over `length` seconds."""
+        h = np.atleast_1d(np.asarray(length, dtype=float))
         out = np.zeros((len(self.states), 1, len(h)))
         out[0, 0], out[1, 0] = 0.5 * h * h, h
         return out
 
-    def model(self, sensors: Sequence[str], initial_mean: Array, portions: Array, counted: Array) -> DesignModel:
-        """The design model for these sensors; portions (K,) and counted (K,), the odometer's own distance over each
+    def model(self, sensors: Sequence[str], initial_mean: Array, lengths: Array, counted: Array) -> DesignModel:
+        """The design model for these sensors; lengths (K,) s and counted (K,), the odometer's own distance over each
         interval, make the matrices of the linear form."""
         states, told = self.states, self.told
         nx = len(states)
@@ -181,22 +183,24 @@ class Kinematics:
         parts: dict[str, Any] = {}
         kinematic = told.motion in ("acceleration", "jerk")
         if kinematic:
-            parts["bounds"] = Bounds(self.gain(1.0)[:, :, 0], np.array([told.w_bar]), 3 * deviations, part=self.gain)
+            parts["bounds"] = Bounds(self.gain(self.period)[:, :, 0], np.array([told.w_bar]), 3 * deviations,
+                                     part=lambda interval: self.gain(interval.length))
         if kinematic and (told.shortfall == "told" or not self.odometer):
-            last, inputs = len(portions) - 1, 2 + (self.drive is not None)
+            last, inputs = len(lengths) - 1, 2 + (self.drive is not None)
 
             def A(k: int) -> Array:
                 i = min(k, last)
-                return self.jacobian(np.zeros((nx, 1)), np.array([[counted[i]], [0.0]]), k, float(portions[i]))[:, :, 0]
+                whole = Interval(k + 1, 0.0, float(lengths[i]))
+                return self.jacobian(np.zeros((nx, 1)), np.array([[counted[i]], [0.0]]), whole)[:, :, 0]
 
             parts["linear"] = Linear(
                 A=A, B=lambda k: np.zeros((nx, inputs)), h=lambda k: np.zeros(nx), C=lambda k: C,
-                Q=lambda k: self.covariance(float(portions[min(k, last)]))[:, :, 0], R=lambda k: R, constant=False)
+                Q=lambda k: self.covariance(float(lengths[min(k, last)]))[:, :, 0], R=lambda k: R, constant=False)
         return DesignModel(
             states=states, measurements=tuple(sensors), period=self.period, transition=self.transition,
-            measurement=lambda x, k: product(C, x), transition_jacobian=self.jacobian,
-            measurement_jacobian=lambda x, k: observe,
-            process_covariance=lambda x, u, k, portion: self.covariance(portion),
-            measurement_covariance=lambda k: R[:, :, None],
+            measurement=lambda x, step: product(C, x), transition_jacobian=self.jacobian,
+            measurement_jacobian=lambda x, step: observe,
+            process_covariance=lambda x, u, interval: self.covariance(interval.length),
+            measurement_covariance=told_covariance(lambda step: R[:, :, None]),
             initial_mean=np.ascontiguousarray(initial_mean[:nx]), initial_covariance=np.diag(start**2)[:, :, None],
             **parts)

@@ -23,18 +23,18 @@ class Broken(Estimator):
 
     def start(self, model, runs, random):
         super().start(model, runs, random)
-        self.x, self.k, self.random = model.initial_mean.copy(), 0, random
+        self.x, self.random = model.initial_mean.copy(), random
         self.P = np.repeat(model.initial_covariance, runs, axis=2)
         self.deaf = np.zeros(runs)
 
-    def predict(self, u, portion):
-        self.x = self.model.transition(self.x, u, self.k, portion)
-        moving = np.broadcast_to(portion, (self.runs,)) != 0
+    def predict(self, u, interval):
+        self.x = self.model.transition(self.x, u, interval)
+        moving = interval.moving(self.runs)
         self.x[0] += 1e-3 * self.random.normal(1, which=moving)[0]
-        self.k += 1
 
-    def update(self, y, received):
-        innovation = np.where(received, y - self.model.measurement(self.x, self.k), 0.0)
+    def update(self, measurement):
+        y, received, step = measurement.y, measurement.received, measurement.step
+        innovation = np.where(received, y - self.model.measurement(self.x, step), 0.0)
         self.x = self.x + 0.3 * innovation[:1]
         self.deaf = np.where(received.any(axis=0), 0, self.deaf + 1)
 
@@ -54,13 +54,13 @@ CHANGES: dict[str, tuple[str, str, str]] = {
                     "a second instance"),
     "global random state": ("self.random.normal(1, which=moving)[0]", "everyone.gauss(0.0, 1.0)",
                             "the state of the global generator"),
-    "missing measurements": ("np.where(received, y - self.model.measurement(self.x, self.k), 0.0)",
-                             "received * (y - self.model.measurement(self.x, self.k))",
+    "missing measurements": ("np.where(received, y - self.model.measurement(self.x, step), 0.0)",
+                             "received * (y - self.model.measurement(self.x, step))",
                              "with nan in the elements that were not received"),
-    "inputs": ("innovation = np.where(received, y - self.model.measurement(self.x, self.k), 0.0)",
-               "y -= self.model.measurement(self.x, self.k)\n        innovation = np.where(received, y, 0.0)",
+    "inputs": ("innovation = np.where(received, y - self.model.measurement(self.x, step), 0.0)",
+               "y -= self.model.measurement(self.x, step)\n        innovation = np.where(received, y, 0.0)",
                "it changed y"),
-    "claims": ("self.k += 1", "self.k += 1\n        self.P = self.P - 0.5 * portion * np.eye(2)[:, :, None]",
+    "claims": ("moving = ", "self.P = self.P - 0.5 * interval.share * np.eye(2)[:, :, None]\n        moving = ",
                "has the negative eigenvalue"),
     "statuses": ("Estimate(self.x,", "Estimate(np.where(self.deaf > 6, np.nan, self.x),",
                  "is not finite although its status is ok"),

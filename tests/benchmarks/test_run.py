@@ -125,7 +125,7 @@ from railstate.estimators.interface import Status, flag
 
 
 class Tells(Half):
-    def update(self, y, received):
+    def update(self, measurement):
         for s, number in enumerate(self.numbers):
             flag(self, np.arange(len(self.numbers)) == s, Status.failed, f"run {number} says so")
 ''')

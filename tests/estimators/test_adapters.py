@@ -29,6 +29,7 @@ from stonesoup.types.state import GaussianState, State
 from stonesoup.updater.kalman import KalmanUpdater
 
 from .. import models
+from ..models import heard, whole
 
 PRINTED = {"alpha": 1e-3, "beta": 2.0, "kappa": 0.0}
 PAIRS: dict[str, tuple[Estimator, Estimator, float]] = {
@@ -53,9 +54,9 @@ class FilterpyLinear(PerRun):
         kf.x, kf.P = model.x0, model.P0
         return kf
 
-    def predict_run(self, kf, model, u, portion):
-        drift = model.f(np.zeros(model.nx), u, portion)
-        kf.predict(u=drift, B=np.eye(model.nx), F=model.F(kf.x, u, portion), Q=model.Q(kf.x, u, portion))
+    def predict_run(self, kf, model, u, interval):
+        drift = model.f(np.zeros(model.nx), u, interval)
+        kf.predict(u=drift, B=np.eye(model.nx), F=model.F(kf.x, u, interval), Q=model.Q(kf.x, u, interval))
 
     def update_run(self, kf, model, y, got):
         kf.update(y, R=model.R[np.ix_(got, got)], H=model.H(kf.x)[got])
@@ -80,13 +81,13 @@ class StoneSoupKalman(PerRun):
     def make(self, model):
         return {"state": GaussianState(model.x0[:, None], model.P0, timestamp=datetime(2000, 1, 1))}
 
-    def predict_run(self, track, model, u, portion):
+    def predict_run(self, track, model, u, interval):
         x = np.ravel(track["state"].state_vector).astype(float)
         transition = LinearGaussianTimeInvariantTransitionModel(
-            transition_matrix=model.F(x, u, portion), covariance_matrix=model.Q(x, u, portion))
-        drift = State(model.f(np.zeros(model.nx), u, portion)[:, None])
+            transition_matrix=model.F(x, u, interval), covariance_matrix=model.Q(x, u, interval))
+        drift = State(model.f(np.zeros(model.nx), u, interval)[:, None])
         predictor = KalmanPredictor(transition, LinearControlModel(control_matrix=np.eye(model.nx)))
-        time = track["state"].timestamp + timedelta(seconds=model.model.period * portion)
+        time = track["state"].timestamp + timedelta(seconds=interval.length)
         track["state"] = predictor.predict(track["state"], timestamp=time, control_input=drift)
 
     def update_run(self, track, model, y, got):
@@ -150,8 +151,8 @@ def test_filterpy_equals_ours_on_the_metro(name: str, variant: str) -> None:
         step = world.step(k, world.initial_mean)
         for estimator in (theirs, ours):
             for event in step.events:
-                estimator.predict(step.u, event.portion)
-                estimator.update(event.y, event.received)
+                estimator.predict(step.u, models.part(k, event.share, step.length))
+                estimator.update(heard(event.y, event.received, k))
         np.testing.assert_allclose(theirs.estimate().mean, ours.estimate().mean, rtol=0, atol=tolerance)
 
 
@@ -166,10 +167,10 @@ def test_filterpy_far_from_the_origin_and_in_part_steps(name: str) -> None:
         estimator.start(model, 2, models.random(2))
     for k in range(20):
         for estimator in (theirs, ours):
-            for portion in (np.array([0.3, 0.6]), np.array([0.7, 0.4])):
-                estimator.predict(data.u[k], portion)
-                estimator.update(data.y[k], data.received[k])
-            estimator.update(data.y[k], data.received[k])
+            for share in (np.array([0.3, 0.6]), np.array([0.7, 0.4])):
+                estimator.predict(data.u[k], models.part(k, share, model.period))
+                estimator.update(heard(data.y[k], data.received[k], k))
+            estimator.update(heard(data.y[k], data.received[k], k))
         np.testing.assert_allclose(theirs.estimate().mean, ours.estimate().mean, rtol=0, atol=max(tolerance, 1e-9))
         np.testing.assert_allclose(theirs.estimate().covariance, ours.estimate().covariance, rtol=0, atol=tolerance)
 
@@ -239,7 +240,7 @@ def test_step_functions_refuse_part_steps() -> None:
     estimator = Noisy()
     estimator.start(model, 2, models.random(2))
     with pytest.raises(Unsupported, match="part steps"):
-        estimator.predict(np.zeros((1, 2)), np.array([0.5, 1.0]))
+        estimator.predict(np.zeros((1, 2)), models.part(0, np.array([0.5, 1.0])))
 
 
 def test_a_missing_part_of_the_design_model_is_named() -> None:
@@ -248,7 +249,7 @@ def test_a_missing_part_of_the_design_model_is_named() -> None:
         FilterpyExtended.require(model)
     estimator = FilterpyLinear()
     estimator.start(model, 2, models.random(2))
-    estimator.predict(np.zeros((1, 2)), 1.0)
+    estimator.predict(np.zeros((1, 2)), whole(0, model.period))
     assert (estimator.status == Status.failed).all() and all("Jacobian" in why for why in estimator.reasons.values())
 
 

@@ -11,10 +11,11 @@ from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.kalman import ExtendedKalman, Kalman
 from railstate.estimators.particle import BootstrapParticle
 from railstate.scenarios.errors import Unsupported
+from railstate.scenarios.measurement import untold
 from railstate.scenarios.model import DesignModel, Linear
 
 from .. import models
-from ..models import Record
+from ..models import Record, heard, whole
 
 C = np.array([[2.0, 0.0], [0.0, -0.5]])
 
@@ -33,12 +34,12 @@ def test_direct_holds_each_element() -> None:
     expected = model.initial_mean.copy()
     np.testing.assert_array_equal(estimator.estimate().mean, expected)
     y = np.array([[4.0, np.nan, 6.0], [np.nan, np.nan, 1.0]])
-    estimator.predict(np.zeros((1, 3)), 1.0)
-    estimator.update(y, ~np.isnan(y))
+    estimator.predict(np.zeros((1, 3)), whole(0, model.period))
+    estimator.update(heard(y, ~np.isnan(y)))
     expected[0, 0], expected[:, 2] = 2.0, [3.0, -2.0]
     np.testing.assert_allclose(estimator.estimate().mean, expected, rtol=1e-15)
     np.testing.assert_array_equal(estimator.estimate().mean[:, 1], model.initial_mean[:, 1])
-    estimator.update(np.full((2, 3), np.nan), np.zeros((2, 3), dtype=bool))
+    estimator.update(heard(np.full((2, 3), np.nan), np.zeros((2, 3), dtype=bool)))
     np.testing.assert_allclose(estimator.estimate().mean, expected, rtol=1e-15)
 
 
@@ -46,7 +47,7 @@ def test_direct_solves_a_mixing_measurement() -> None:
     c = np.array([[1.0, 2.0], [3.0, 4.0]])
     estimator = Direct()
     estimator.start(square(1, c), 1, models.random(1))
-    estimator.update(c @ np.array([[5.0], [-1.0]]), np.array([[True], [True]]))
+    estimator.update(heard(c @ np.array([[5.0], [-1.0]]), np.array([[True], [True]])))
     np.testing.assert_allclose(estimator.estimate().mean[:, 0], [5.0, -1.0], rtol=1e-12)
 
 
@@ -67,7 +68,7 @@ def test_dead_reckoning_is_the_model_alone() -> None:
     means, covariances = models.feed(DeadReckoning(), model, data)
     x = model.initial_mean
     for k in range(6):
-        x = model.transition(x, data.u[k], k, 1.0)
+        x = model.transition(x, data.u[k], whole(k, model.period))
     np.testing.assert_array_equal(means[-1], x)
     assert covariances is None
 
@@ -79,8 +80,8 @@ def test_truth_is_handed_out_as_revealed() -> None:
     np.testing.assert_array_equal(estimator.estimate().mean, model.initial_mean)
     truth = np.arange(9.0).reshape(3, 3)  # two states and a parameter
     estimator.reveal(truth)
-    estimator.predict(np.zeros((1, 3)), 1.0)
-    estimator.update(np.zeros((2, 3)), np.ones((2, 3), dtype=bool))
+    estimator.predict(np.zeros((1, 3)), whole(0, model.period))
+    estimator.update(heard(np.zeros((2, 3)), np.ones((2, 3), dtype=bool)))
     np.testing.assert_array_equal(estimator.estimate().mean, truth[:2])
     assert Truth.oracle
 
@@ -104,11 +105,12 @@ def test_particle_filter_equals_a_textbook_loop() -> None:
         for k in range(steps):
             u = data.u[k][:, [run]]
             mean = (x * w).sum(axis=1)
-            q = model.process_covariance(mean[:, None], u, k, 1.0)[:, :, 0]
-            x = model.transition(x[:, :, None], u, k, 1.0)[:, :, 0] + np.linalg.cholesky(q) @ noise[k + 1][:, :, run]
+            q = model.process_covariance(mean[:, None], u, whole(k, model.period))[:, :, 0]
+            x = model.transition(x[:, :, None], u, whole(k, model.period))[:, :, 0]
+            x = x + np.linalg.cholesky(q) @ noise[k + 1][:, :, run]
             got = np.flatnonzero(data.received[k, :, run])
-            innovation = data.y[k, got, run][:, None] - model.measurement(x[:, :, None], k)[got, :, 0]
-            inverse = np.linalg.inv(model.measurement_covariance(k)[np.ix_(got, got)][:, :, 0])
+            innovation = data.y[k, got, run][:, None] - model.measurement(x[:, :, None], k + 1)[got, :, 0]
+            inverse = np.linalg.inv(model.measurement_covariance(untold(k + 1, model.ny))[np.ix_(got, got)][:, :, 0])
             w = w * np.exp(-0.5 * np.einsum("ji,jk,ki->i", innovation, inverse, innovation))
             w = w / w.sum()
             mean = (x * w).sum(axis=1)
@@ -156,7 +158,7 @@ def test_particles_far_from_the_measurement_keep_their_weights() -> None:
     estimator = BootstrapParticle({"particles": 50})
     estimator.start(model, 2, models.random(2))
     before = estimator.estimate().mean.copy()
-    estimator.update(np.array([[50.0, 50.0], [5000.0, 10.0]]), np.ones((2, 2), dtype=bool))
+    estimator.update(heard(np.array([[50.0, 50.0], [5000.0, 10.0]]), np.ones((2, 2), dtype=bool)))
     assert not estimator.status.any()
     assert estimator.estimate().mean[1, 0] > before[1, 0] + 1.0
 

@@ -13,10 +13,11 @@ from railstate.estimators.particle import BootstrapParticle
 from railstate.estimators.reference.filterpy import FilterpyCubature, FilterpyExtended, FilterpyUnscented
 from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
 from railstate.scenarios.errors import Infeasible, Unsupported
+from railstate.scenarios.measurement import Interval, untold
 from railstate.scenarios.model import DesignModel
 
 from .. import models
-from ..models import Array, Record
+from ..models import Array, Record, heard, whole
 
 Make = Callable[[], Estimator]
 FAMILY: dict[str, Make] = {
@@ -41,16 +42,16 @@ def textbook(make: Make, model: DesignModel, data: Record) -> tuple[Array, Array
     means, covariances = [], []
     for k in range(len(data.y)):
         got = np.flatnonzero(data.received[k, :, 0])
-        q = model.process_covariance(x, data.u[k], k, 1.0)[:, :, 0]
-        r = model.measurement_covariance(k + 1)[np.ix_(got, got)][:, :, 0]
+        q = model.process_covariance(x, data.u[k], whole(k, model.period))[:, :, 0]
+        r = model.measurement_covariance(untold(k + 1, model.ny))[np.ix_(got, got)][:, :, 0]
         if isinstance(estimator, ExtendedKalman):
-            f = model.transition_jacobian(x, data.u[k], k, 1.0)[:, :, 0]
-            x, p = model.transition(x, data.u[k], k, 1.0), f @ p @ f.T + q
+            f = model.transition_jacobian(x, data.u[k], whole(k, model.period))[:, :, 0]
+            x, p = model.transition(x, data.u[k], whole(k, model.period)), f @ p @ f.T + q
             h = model.measurement_jacobian(x, k + 1)[got][:, :, 0]
             s, cross, guess = h @ p @ h.T + r, p @ h.T, model.measurement(x, k + 1)[got]
         else:
             wm, wc, scale = estimator.weights(n)
-            moved = model.transition(_points(x, p, scale, len(wm)), data.u[k], k, 1.0)[:, :, 0]
+            moved = model.transition(_points(x, p, scale, len(wm)), data.u[k], whole(k, model.period))[:, :, 0]
             x = (moved @ wm)[:, None]
             p = (moved - x) * wc @ (moved - x).T + q
             cloud = _points(x, p, scale, len(wm)) if estimator.redraw else moved[:, :, None]
@@ -181,8 +182,8 @@ def test_part_steps_add_up(name: str, per_run: bool) -> None:
     model = _integrating(6)
     data = models.record(model, 6, 10)
     whole, covariance = models.feed(FAMILY[name](), model, data)
-    portions = (np.full(6, 0.3), np.full(6, 0.7)) if per_run else (0.3, 0.7)
-    parts, split = models.feed(FAMILY[name](), model, data, portions)
+    shares = (np.full(6, 0.3), np.full(6, 0.7)) if per_run else (0.3, 0.7)
+    parts, split = models.feed(FAMILY[name](), model, data, shares)
     tolerance = 1e-6 if name == "ukf-printed" else 1e-9
     if name != "ukf-reuse":  # whose update knows of the last part's Q only
         np.testing.assert_allclose(parts, whole, rtol=0, atol=tolerance)
@@ -194,11 +195,11 @@ def _integrating(runs: int) -> DesignModel:
     """Constant speed with white acceleration noise, whose discretisation is consistent under splitting."""
     model = models.coasting(runs)
 
-    def transition(x: Array, u: Array, k: int, portion: float | Array) -> Array:
-        return np.stack([x[0] + 0.5 * portion * x[1], x[1] + 0 * portion])
+    def transition(x: Array, u: Array, interval: Interval) -> Array:
+        return np.stack([x[0] + interval.length * x[1], x[1] + 0 * interval.length])
 
-    def jacobian(x: Array, u: Array, k: int, portion: float | Array) -> Array:
-        t = np.atleast_1d(0.5 * portion)
+    def jacobian(x: Array, u: Array, interval: Interval) -> Array:
+        t = np.atleast_1d(interval.length)
         return np.stack([np.stack([t**0, t]), np.stack([0 * t, t**0])])
 
     return replace(model, transition=transition, transition_jacobian=jacobian)
@@ -211,9 +212,9 @@ def test_a_lost_run_is_marked_and_alone(name: str) -> None:
     data = models.record(model, 5, 10, loss=0.0)
     healthy, _ = models.feed(FAMILY[name](), model, data)
 
-    def process(x: Array, u: Array, k: int, portion: float | Array) -> Array:
-        q = np.repeat(model.process_covariance(x, u, k, portion), 5, axis=2)
-        q[:, :, 2] -= 50.0 * np.eye(2) * (k == 4)
+    def process(x: Array, u: Array, interval: Interval) -> Array:
+        q = np.repeat(model.process_covariance(x, u, interval), 5, axis=2)
+        q[:, :, 2] -= 50.0 * np.eye(2) * (interval.depart == 4)
         return q
 
     estimator = FAMILY[name]()
@@ -233,9 +234,9 @@ def test_nothing_received_is_pure_prediction(name: str) -> None:
     before = []
     estimator.start(model, 3, models.random(3))
     for k in range(5):
-        estimator.predict(data.u[k], 1.0)
+        estimator.predict(data.u[k], whole(k, model.period))
         before = [part.copy() for part in (estimator.estimate().mean, estimator.estimate().covariance)]
-        estimator.update(data.y[k], data.received[k])
+        estimator.update(heard(data.y[k], data.received[k], k))
         np.testing.assert_array_equal(estimator.estimate().mean, before[0])
         np.testing.assert_array_equal(estimator.estimate().covariance, before[1])
 
@@ -263,13 +264,13 @@ def test_nees_is_consistent() -> None:
 def test_joseph_form_survives_precise_measurements() -> None:
     """Variance 1e12 before and 1e-6 after: P - K S K' loses all digits, the Joseph form keeps them."""
     model = replace(models.linear(2, nx=2, ny=1), initial_covariance=1e12 * np.eye(2)[:, :, None],
-                    measurement_covariance=lambda k: np.full((1, 1, 1), 1e-6),
-                    process_covariance=lambda x, u, k, portion: np.zeros((2, 2, 1)),
+                    measurement_covariance=lambda measurement: np.full((1, 1, 1), 1e-6),
+                    process_covariance=lambda x, u, interval: np.zeros((2, 2, 1)),
                     measurement_jacobian=lambda x, k: np.array([[[1.0], [0.0]]]), measurement=lambda x, k: x[:1])
     for make in (Kalman, UnscentedKalman, CubatureKalman):
         estimator = make()
         estimator.start(model, 2, models.random(2))
-        estimator.update(np.zeros((1, 2)), np.array([[True, True]]))
+        estimator.update(heard(np.zeros((1, 2)), np.array([[True, True]])))
         covariance = estimator.estimate().covariance
         assert covariance[0, 0, 0] == pytest.approx(1e-6, rel=1e-6)
         assert covariance[1, 1, 0] == pytest.approx(1e12)
@@ -310,11 +311,11 @@ def test_a_run_that_stands_still_keeps_its_bits(estimator: Estimator) -> None:
         estimator.start(model, 3, models.random(3))
         out = []
         for k in range(6):
-            estimator.predict(data.u[k], 1.0)
-            estimator.update(data.y[k], data.received[k])
+            estimator.predict(data.u[k], whole(k, model.period))
+            estimator.update(heard(data.y[k], data.received[k], k))
             if extra:
-                estimator.predict(data.u[k], still)
-                estimator.update(np.where(nobody, 1.0, np.nan), nobody)
+                estimator.predict(data.u[k], models.part(k, still, model.period))
+                estimator.update(heard(np.where(nobody, 1.0, np.nan), nobody, k))
             estimate = estimator.estimate()
             assert estimate.covariance is not None
             out += [estimate.mean[:, 1].copy(), estimate.covariance[:, :, -2].copy()]
@@ -327,7 +328,7 @@ def test_a_run_that_stands_still_keeps_its_bits(estimator: Estimator) -> None:
 def test_a_linear_model_of_whole_steps_refuses_parts() -> None:
     estimator = Kalman()
     estimator.start(models.linear(2), 2, models.random(2))
-    for portion in (0.5, np.array([1.0, 0.5])):
+    for share in (0.5, np.array([1.0, 0.5])):
         with pytest.raises(Unsupported, match="whole sampling periods"):
-            estimator.predict(np.zeros((1, 2)), portion)
-    estimator.predict(np.zeros((1, 2)), np.ones(2))
+            estimator.predict(np.zeros((1, 2)), models.part(0, share))
+    estimator.predict(np.zeros((1, 2)), models.part(0, np.ones(2)))

@@ -20,6 +20,8 @@ from railstate.scenarios.model import DesignModel
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
 
+from ..models import heard, part, whole
+
 CASES = [(InteractingMultipleModel, {"transition": "uniform"}), (InteractingMultipleModel, {"stay": 0.9}),
          (InteractingMultipleModel, {"transition": "groups"}), (KnownParameterKalman, {})]
 family = pytest.mark.parametrize(("kind", "parameters"), CASES)
@@ -82,8 +84,8 @@ def follow(estimator: Estimator, model: DesignModel, world: Trajectory,
     for k in range(steps):
         if estimator.oracle:
             estimator.reveal(world.truth[k])
-        estimator.predict(world.u[k], 1.0)
-        estimator.update(world.y[k], world.received[k])
+        estimator.predict(world.u[k], whole(k))
+        estimator.update(heard(world.y[k], world.received[k], k))
         estimate = estimator.estimate()
         assert estimate.parameter is not None and estimate.covariance is not None
         means.append(estimate.mean.copy())
@@ -201,7 +203,7 @@ def test_only_whole_steps(setting: Braking, kind: type, parameters: dict[str, An
     estimator = kind(parameters)
     estimator.start(setting.design_model({}, world.initial_mean), 1, streams([0])("estimator", "x"))
     with pytest.raises(Unsupported, match="whole sampling periods"):
-        estimator.predict(world.u[0], np.array([0.4]))
+        estimator.predict(world.u[0], part(0, np.array([0.4])))
 
 
 def test_imm_counts_its_filters(setting: Braking) -> None:

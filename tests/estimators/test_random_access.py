@@ -21,6 +21,7 @@ from railstate.scenarios.randomness import Streams
 from scipy import stats
 
 from ..linear_plants import PLANTS, plant
+from ..models import heard, part, whole
 
 BOTH = [RandomAccessFilter, ConditionalRandomAccess]
 
@@ -108,8 +109,8 @@ def test_what_was_not_sent_is_never_read(kind):
     streams = Streams(1, "trial", "default", range(6))
     estimator.start(model, 6, streams("estimator", "trial"))
     for k in range(world.steps):
-        estimator.predict(world.u[k], 1.0)
-        estimator.update(np.where(world.received[k], world.y[k], np.nan), world.received[k])
+        estimator.predict(world.u[k], whole(k))
+        estimator.update(heard(np.where(world.received[k], world.y[k], np.nan), world.received[k], k))
         np.testing.assert_array_equal(estimator.estimate().mean, means[k])
 
 
@@ -152,8 +153,8 @@ def test_gains_prepared_by_the_design_serve_any_order_of_events():
             filter_.start(model, 4, streams("estimator", "trial"))
         for k in range(6):
             for filter_ in (designed, fresh):
-                filter_.update(world.y[k], world.received[k])
-                filter_.predict(world.u[k], 1.0)
+                filter_.update(heard(world.y[k], world.received[k], k))
+                filter_.predict(world.u[k], whole(k))
             np.testing.assert_array_equal(designed.estimate().mean, fresh.estimate().mean)
             np.testing.assert_array_equal(designed.estimate().covariance, fresh.estimate().covariance)
 
@@ -200,7 +201,7 @@ def test_a_broken_step_is_refused():
     estimator, model = prepare(setting, RandomAccessFilter, {}, {}, np.zeros((2, 1)))
     estimator.start(model, 1, Streams(1, "trial", "default", [0])("estimator", "trial"))
     with pytest.raises(Unsupported, match="whole sampling periods"):
-        estimator.predict(np.zeros((0, 1)), 0.5)
+        estimator.predict(np.zeros((0, 1)), part(0, 0.5))
 
 
 def test_a_covariance_that_overflows_is_a_failed_run():

@@ -19,6 +19,7 @@ from railstate.scenarios.model import Bounds, DesignModel, Linear, linear_model
 from railstate.scenarios.randomness import RunRandom, Streams
 
 from ..conftest import Command
+from ..models import heard, part, whole
 
 FAMILY = [RobustBounded, RobustEllipsoid, RobustMeanSquare]
 T = 0.5
@@ -66,17 +67,17 @@ def follow(estimator: Estimator, ys: np.ndarray, received: np.ndarray) -> list[A
     out = []
     u = np.zeros((0, ys.shape[2]))
     for y, got in zip(ys, received, strict=True):
-        estimator.predict(u, 1.0)
-        estimator.update(np.where(got, y, np.nan), got)
+        estimator.predict(u, whole(0))
+        estimator.update(heard(np.where(got, y, np.nan), got))
         out.append(replace(estimator.estimate(), mean=estimator.estimate().mean.copy()))
     return out
 
 
 def test_f1_without_linearisation_error_is_the_closed_form() -> None:
     estimator = started(RobustBounded, model(1, kappa=0.0))
-    estimator.predict(np.zeros((0, 1)), 1.0)
+    estimator.predict(np.zeros((0, 1)), whole(0))
     y = np.array([[0.7], [-0.4]])
-    estimator.update(y, np.ones((2, 1), bool))
+    estimator.update(heard(y, np.ones((2, 1), bool)))
     B = G * [0.3, 0.2]
     S = A @ A.T + B @ B.T
     K = S @ np.linalg.inv(S + np.diag([1.0, 0.16]))
@@ -92,8 +93,8 @@ def test_f3_scalar_is_the_known_optimum() -> None:
                         initial_covariance=np.full((1, 1, 1), 4.0), performance=np.eye(1),
                         bounds=Bounds(np.ones((1, 2)), np.array([0.5, 0.25]), np.ones(1)))
     estimator = started(RobustMeanSquare, told)
-    estimator.predict(np.zeros((0, 1)), 1.0)
-    estimator.update(np.ones((1, 1)), np.ones((1, 1), bool))
+    estimator.predict(np.zeros((0, 1)), whole(0))
+    estimator.update(heard(np.ones((1, 1)), np.ones((1, 1), bool)))
     spread = (2.0 + 0.5 + 0.25) ** 2
     estimate = estimator.estimate()
     assert estimate.mean[0, 0] == pytest.approx(spread / (spread + 0.5), rel=1e-9)
@@ -115,10 +116,10 @@ def test_f2_contains_every_admissible_truth_before_and_after_measurements(sensor
     if C is not None:
         received = received & np.array([[True], [False]])
     for x, y, got in zip(xs, ys, received, strict=True):
-        estimator.predict(np.zeros((0, 60)), 1.0)
+        estimator.predict(np.zeros((0, 60)), whole(0))
         for measured in (False, True):
             if measured:
-                estimator.update(y, got)
+                estimator.update(heard(y, got))
             estimate = estimator.estimate()
             Pi = np.moveaxis(np.asarray(estimate.ellipsoid), 2, 0)
             assert (np.linalg.eigvalsh(Pi) > 0).all() and (np.moveaxis(Pi, 1, 2) == Pi).all()
@@ -136,8 +137,8 @@ def test_f3_bound_holds_in_the_mean_square() -> None:
     for k in range(steps):
         x = A @ x + G @ (np.array([[0.3], [0.2]]) * side)
         y = x + random.uniform(-1, 1, (2, runs)) * np.array([[1.0], [0.4]])
-        estimator.predict(np.zeros((0, runs)), 1.0)
-        estimator.update(y, np.ones((2, runs), bool) if k % 3 else random.random((2, runs)) < 0.5)
+        estimator.predict(np.zeros((0, runs)), whole(k))
+        estimator.update(heard(y, np.ones((2, runs), bool) if k % 3 else random.random((2, runs)) < 0.5, k))
         squared = ((x - estimator.estimate().mean) ** 2).sum(axis=0)
         bound = np.asarray(estimator.estimate().bound)
         assert (squared - bound).mean() < 3 * squared.std() / np.sqrt(runs)
@@ -164,14 +165,14 @@ def test_results_do_not_depend_on_the_batch(cls: type[Estimator]) -> None:
 def test_runs_whose_portion_is_zero_stay_as_they_are(cls: type[Estimator]) -> None:
     told = replace(model(2), bounds=Bounds(G, np.array([0.3, 0.2]), np.array([1.0, 0.4])))
     # linear_model knows whole steps only; here a run either makes one or none.
-    estimator = started(cls, replace(told, transition=lambda x, u, k, portion: told.transition(x, u, k, 1.0)))
+    estimator = started(cls, replace(told, transition=lambda x, u, interval: told.transition(x, u, whole(0))))
     everything = np.ones((2, 2), bool)
-    estimator.predict(np.zeros((0, 2)), 1.0)
-    estimator.update(np.ones((2, 2)), everything)
+    estimator.predict(np.zeros((0, 2)), whole(0))
+    estimator.update(heard(np.ones((2, 2)), everything))
     before = estimator.estimate()
     kept = [np.array(part[..., 0]) for part in (before.mean, before.ellipsoid, before.bound) if part is not None]
-    estimator.predict(np.zeros((0, 2)), np.array([0.0, 1.0]))
-    estimator.update(np.full((2, 2), 2.0), everything & [[False, True]])
+    estimator.predict(np.zeros((0, 2)), part(0, np.array([0.0, 1.0])))
+    estimator.update(heard(np.full((2, 2), 2.0), everything & [[False, True]]))
     after = estimator.estimate()
     now = [part[..., 0] for part in (after.mean, after.ellipsoid, after.bound) if part is not None]
     assert all((a == b).all() for a, b in zip(kept, now, strict=True))
@@ -182,8 +183,8 @@ def test_runs_whose_portion_is_zero_stay_as_they_are(cls: type[Estimator]) -> No
 def test_a_run_without_measurements_is_the_prediction_alone(cls: type[Estimator]) -> None:
     estimator = started(cls, replace(model(1), initial_mean=np.array([[1.0], [2.0]])))
     for _ in range(3):
-        estimator.predict(np.zeros((0, 1)), 1.0)
-        estimator.update(np.full((2, 1), np.nan), np.zeros((2, 1), bool))
+        estimator.predict(np.zeros((0, 1)), whole(0))
+        estimator.update(heard(np.full((2, 1), np.nan), np.zeros((2, 1), bool)))
     np.testing.assert_allclose(estimator.estimate().mean[:, 0], np.linalg.matrix_power(A, 3) @ [1.0, 2.0], rtol=1e-14)
     assert estimator.status[0] == Status.ok
     worst = max(np.linalg.norm(A + s * 0.02 * np.outer([0.3, 1.0], [0.0, 1.0]), 2) ** 2 for s in (-1, 1))
@@ -243,13 +244,13 @@ def test_sensors_without_bounds() -> None:
 
 def test_portions_need_bounds_for_them() -> None:
     told = model(1, kappa=0.0)
-    told = replace(told, transition=lambda x, u, k, portion: x)
+    told = replace(told, transition=lambda x, u, interval: x)
     estimator = started(RobustMeanSquare, told)
-    estimator.predict(np.zeros((0, 1)), 0.5)
+    estimator.predict(np.zeros((0, 1)), part(0, 0.5))
     assert estimator.status[0] == Status.infeasible and "whole sampling periods" in estimator.reasons[0]
-    part = Bounds(G, np.array([0.3, 0.2]), np.array([1.0, 0.4]), part=lambda portion: G[:, :, None] * portion)
-    estimator = started(RobustMeanSquare, replace(told, bounds=part))
-    estimator.predict(np.zeros((0, 1)), 0.5)
+    bounds = Bounds(G, np.array([0.3, 0.2]), np.array([1.0, 0.4]), part=lambda interval: G[:, :, None] * interval.share)
+    estimator = started(RobustMeanSquare, replace(told, bounds=bounds))
+    estimator.predict(np.zeros((0, 1)), part(0, 0.5))
     assert estimator.status[0] == Status.ok
 
 

@@ -16,6 +16,8 @@ from railstate.estimators.robust.memoryless import memoryless_step
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
 
+from ..models import heard, part
+
 PROBLEMS = 100
 FREE = 1e6
 """A mu that is never active."""
@@ -138,8 +140,8 @@ def test_metro_trajectories(cls: Any) -> None:
         event = step.events[0]
         received = np.array([[True], [k % 10 != 7]]) if cls is RobustMeanSquare else event.received
         for estimator in pair:
-            estimator.predict(step.u, event.portion)
-            estimator.update(event.y, received)
+            estimator.predict(step.u, part(k, event.share, step.length))
+            estimator.update(heard(event.y, received, k))
         a, b = fast.estimate(), slow.estimate()
         np.testing.assert_allclose(a.mean, b.mean, atol=1e-5)
         if a.ellipsoid is not None and b.ellipsoid is not None:

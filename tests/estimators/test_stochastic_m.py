@@ -25,6 +25,8 @@ from railstate.scenarios.model import DesignModel, Modes
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
 
+from ..models import heard, part, whole
+
 FAMILY = [
     (StochasticM, {}),
     (StochasticM, {"prune": "heaviest", "memoryless": True}),
@@ -60,8 +62,8 @@ def follow(estimator: Estimator, model: DesignModel, world: Trajectory, runs: ra
     estimator.start(model, len(runs), streams(runs)("estimator", "x"))
     means, parameters, covariances = [], [], []
     for k in range(steps):
-        estimator.predict(world.u[k], 1.0)
-        estimator.update(world.y[k], world.received[k])
+        estimator.predict(world.u[k], whole(k))
+        estimator.update(heard(world.y[k], world.received[k], k))
         estimate = estimator.estimate()
         assert estimate.parameter is not None and estimate.covariance is not None
         means.append(estimate.mean.copy())
@@ -157,12 +159,12 @@ def test_two_updates_at_one_instant_equal_one(setting: Braking, form: str) -> No
     once, twice = StochasticM(spacious), StochasticM(spacious)
     for estimator in (once, twice):
         estimator.start(model, 4, streams(range(4))("estimator", "x"))
-        estimator.predict(world.u[0], 1.0)
-    once.update(world.y[0], world.received[0])
+        estimator.predict(world.u[0], whole(0))
+    once.update(heard(world.y[0], world.received[0]))
     first = np.zeros_like(world.received[0])
     first[0] = True
-    twice.update(world.y[0], first)
-    twice.update(world.y[0], ~first)
+    twice.update(heard(world.y[0], first))
+    twice.update(heard(world.y[0], ~first))
     one, other = once.estimate(), twice.estimate()
     np.testing.assert_allclose(one.mean, other.mean, rtol=0, atol=1e-11)
     assert one.parameter is not None and other.parameter is not None
@@ -182,17 +184,17 @@ def test_prediction_can_be_asked_for(setting: Braking, form: str) -> None:
     np.testing.assert_allclose(asked.estimate().mean, world.initial_mean, atol=0.02)  # 50 draws of variance 1e-3
     for k in range(4):
         for estimator in (asked, silent):
-            estimator.predict(world.u[k], 1.0)
+            estimator.predict(world.u[k], whole(k))
         before = asked.estimate()
         for estimator in (asked, silent):
-            estimator.update(world.y[k], world.received[k])
+            estimator.update(heard(world.y[k], world.received[k], k))
         np.testing.assert_array_equal(asked.estimate().mean, silent.estimate().mean)
         assert before.parameter is not None and np.isfinite(before.mean).all()
     nothing = GroupStochasticM({"form": form})
     nothing.start(model, 3, streams(range(3))("estimator", "x"))
-    nothing.predict(world.u[0], 1.0)
+    nothing.predict(world.u[0], whole(0))
     predicted = nothing.estimate().mean.copy()
-    nothing.update(world.y[0], np.zeros((3, 3), dtype=bool))
+    nothing.update(heard(world.y[0], np.zeros((3, 3), dtype=bool)))
     np.testing.assert_array_equal(nothing.estimate().mean, predicted)
 
 
@@ -222,7 +224,7 @@ def test_factorised_refuses_what_it_cannot_do(setting: Braking) -> None:
     estimator = StochasticM({})
     estimator.start(model, 1, random)
     with pytest.raises(Unsupported, match="whole sampling periods"):
-        estimator.predict(world.u[0], 0.5)
+        estimator.predict(world.u[0], part(0, 0.5))
     with pytest.raises(Unsupported, match="at least 4 values"):
         GroupStochasticM({"groups": "printed"}).start(
             setting.design_model({"grid": [0.0, 0.5, 1.0]}, world.initial_mean), 1, random)
@@ -245,8 +247,8 @@ def test_rbpf_tends_to_the_kalman_filter_as_the_grid_shrinks() -> None:
             told.append([])
             for k in range(40):
                 known.reveal(np.full_like(world.truth[k], f))
-                known.predict(world.u[k], 1.0)
-                known.update(world.y[k], world.received[k])
+                known.predict(world.u[k], whole(k))
+                known.update(heard(world.y[k], world.received[k], k))
                 told[-1].append(known.estimate().mean.copy())
         true, wrong = np.array(told)
         limits.append(np.abs(wrong - true).max(axis=(0, 2))[:3])
@@ -416,7 +418,7 @@ def test_jitter_moves_the_share_it_says(setting: Braking) -> None:
     estimator = RaoBlackwellizedParticle({"proposal": "static", "jitter": 0.3})
     estimator.start(setting.design_model({}, world.initial_mean), 200, streams(range(200))("estimator", "x"))
     before = estimator.cloud.theta.copy()
-    estimator.predict(world.u[0], 1.0)
+    estimator.predict(world.u[0], whole(0))
     moved = estimator.cloud.theta - before
     assert np.abs(moved).max() == 1
     assert abs((moved != 0).mean() - 0.3) < 4 * np.sqrt(0.21 / moved.size)
@@ -438,8 +440,8 @@ def test_general_modes_go_through_the_full_form() -> None:
     wanted, values, _ = particle_loop(estimator, model, np.zeros((8, 1)), y, streams([0])("estimator", "x"))
     estimator.start(model, 1, streams([0])("estimator", "x"))
     for k in range(8):
-        estimator.predict(np.zeros((1, 1)), 1.0)
-        estimator.update(y[k][:, None], np.ones((1, 1), dtype=bool))
+        estimator.predict(np.zeros((1, 1)), whole(k))
+        estimator.update(heard(y[k][:, None], np.ones((1, 1), dtype=bool), k))
         estimate = estimator.estimate()
         np.testing.assert_allclose(estimate.mean[:, 0], wanted[k], rtol=0, atol=1e-11)
         assert estimate.parameter is not None

@@ -21,6 +21,8 @@ from railstate.scenarios.files import load
 from railstate.scenarios.model import DesignModel
 from railstate.scenarios.randomness import RunRandom
 
+from ..models import heard, whole
+
 PUBLISHED = "zou2018_gain.csv"
 
 
@@ -203,11 +205,11 @@ def test_estimator_is_equation_10(variant: str) -> None:
     x = np.zeros((4, runs))
     for k in range(steps):
         if k:
-            estimator.predict(u[k], 1.0)
+            estimator.predict(u[k], whole(k))
             innovation = np.where(received[k - 1], y[k - 1] - C @ x, 0.0)
             x = A @ x + B @ u[k] + h + estimator.K @ innovation
         np.testing.assert_allclose(estimator.estimate().mean, x, rtol=1e-9, atol=1e-9)
-        estimator.update(y[k], received[k])
+        estimator.update(heard(y[k], received[k], k))
     bound = estimator.estimate().bound
     assert bound is not None and bound.shape == (1,)
 
@@ -220,8 +222,8 @@ def test_runs_do_not_depend_on_their_neighbours() -> None:
         estimator.start(told, len(runs), RunRandom(0, ("s", "v"), runs))
         random = RunRandom(0, ("s", "v", "data"), runs)
         for _ in range(20):
-            estimator.update(random.normal(4), random.uniform(0, 1, 4) < 0.5)
-            estimator.predict(1e4 * random.normal(2), 1.0)
+            estimator.update(heard(random.normal(4), random.uniform(0, 1, 4) < 0.5))
+            estimator.predict(1e4 * random.normal(2), whole(0))
         return estimator.estimate().mean.copy()
 
     together = drive(list(range(33)))

@@ -30,16 +30,15 @@ class AlphaBeta(Estimator):
 
     def start(self, model, runs, random):
         super().start(model, runs, random)
-        self.x, self.k = model.initial_mean.copy(), 0
+        self.x = model.initial_mean.copy()
         self.shares = np.zeros((model.nx, 1))
         self.shares[0], self.shares[1] = self.parameters.alpha, self.parameters.beta / model.period
 
-    def predict(self, u, portion):
-        self.x = self.model.transition(self.x, u, self.k, portion)
-        self.k += 1
+    def predict(self, u, interval):
+        self.x = self.model.transition(self.x, u, interval)
 
-    def update(self, y, received):
-        self.x = self.x + self.shares * np.where(received[0], y[0] - self.x[0], 0.0)
+    def update(self, measurement):
+        self.x = self.x + self.shares * np.where(measurement.received[0], measurement.y[0] - self.x[0], 0.0)
 
     def estimate(self):
         return Estimate(self.x)

@@ -17,6 +17,8 @@ from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
 
+from ..models import heard, whole
+
 TAU, LAMBDA = 0.4, 1.6667
 VARIANTS = ("paper", "printed-groups", "accelerometer", "stop")
 
@@ -138,14 +140,14 @@ def test_augmented_jacobian_is_the_derivative() -> None:
     assert model.transition_jacobian is not None and model.process_covariance is not None
     x = np.array([[1.0, -4.0], [20.0, 3.0], [-0.7, -0.2], [-1.9, -0.4], [0.8, 0.3]])
     u = np.array([[-1.0, -0.6]])
-    jacobian = model.transition_jacobian(x, u, 0, 1.0)
+    jacobian = model.transition_jacobian(x, u, whole(0))
     for i in range(5):
         h = np.zeros((5, 1))
         h[i] = 1e-6
-        slope = (model.transition(x + h, u, 0, 1.0) - model.transition(x - h, u, 0, 1.0)) / 2e-6
+        slope = (model.transition(x + h, u, whole(0)) - model.transition(x - h, u, whole(0))) / 2e-6
         np.testing.assert_allclose(jacobian[:, i], slope, atol=1e-8)
     # f's noise acts with f itself: Q = q (df) (df)' + speed noise + 1e-8 on a_z
-    noise = model.process_covariance(x, u, 0, 1.0)[:, :, 0]
+    noise = model.process_covariance(x, u, whole(0))[:, :, 0]
     wanted = 1e-3 * np.outer(jacobian[:, 4, 0], jacobian[:, 4, 0]) + np.diag([0, 0.05, 0, 1e-8, 0])
     np.testing.assert_allclose(noise, wanted, atol=1e-15)
 
@@ -154,9 +156,9 @@ def test_sigma_axes_pass_through_the_augmented_model() -> None:
     model = setting().design_model(APPENDED, np.zeros((4, 3)))
     points = np.random.default_rng(0).normal(size=(5, 11, 3))
     u = np.full((1, 3), -1.0)
-    moved, seen = model.transition(points, u, 0, 1.0), model.measurement(points, 0)
+    moved, seen = model.transition(points, u, whole(0)), model.measurement(points, 0)
     for j in range(11):
-        np.testing.assert_array_equal(moved[:, j], model.transition(points[:, j], u, 0, 1.0))
+        np.testing.assert_array_equal(moved[:, j], model.transition(points[:, j], u, whole(0)))
         np.testing.assert_array_equal(seen[:, j], model.measurement(points[:, j], 0))
 
 
@@ -173,8 +175,8 @@ def test_augmented_kalman_is_exact() -> None:
         filters.append(estimator)
     for k in range(60):
         for estimator in filters:
-            estimator.predict(world.u[k], 1.0)
-            estimator.update(world.y[k], world.received[k])
+            estimator.predict(world.u[k], whole(k))
+            estimator.update(heard(world.y[k], world.received[k], k))
         extended, linear = (estimator.estimate() for estimator in filters)
         np.testing.assert_allclose(extended.mean, linear.mean, rtol=0, atol=1e-9)
         assert extended.covariance is not None and linear.covariance is not None

@@ -18,6 +18,8 @@ from railstate.scenarios.linear.matrices import at_step
 from railstate.scenarios.linear.setting import LinearSystem
 from railstate.scenarios.randomness import Streams
 
+from ..models import whole
+
 TABLE: dict[str, Any] = {
     "name": "trial", "title": "Trial", "time": {"period": 1.0, "steps": 6},
     "plant": {
@@ -179,8 +181,8 @@ def test_the_design_model_says_how_the_truth_moves(index):
     world = plant.world(Streams(6, "trial", index, range(runs)))
     model = plant.design_model({}, world.initial_mean)
     for k in range(1, 6):
-        left = world.truth[k] - model.transition(world.truth[k - 1], world.u[k], k, 1.0)
-        Q = model.process_covariance(world.truth[k - 1], world.u[k], k, 1.0)[:, :, 0]
+        left = world.truth[k] - model.transition(world.truth[k - 1], world.u[k], whole(k))
+        Q = model.process_covariance(world.truth[k - 1], world.u[k], whole(k))[:, :, 0]
         error = np.sqrt((np.outer(np.diag(Q), np.diag(Q)) + Q**2) / runs)
         assert np.all(np.abs(left @ left.T / runs - Q) < 4.5 * error)
         np.testing.assert_allclose(model.measurement(world.truth[k], k + 1),

@@ -7,7 +7,10 @@ import pytest
 from railstate.benchmarks.planning.naming import find
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import untold
 from railstate.scenarios.randomness import Streams
+
+from ..models import part, whole
 
 BOUNDED = ("switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias")
 VARIANTS = (*BOUNDED, "gaussian")
@@ -49,20 +52,21 @@ def test_the_first_variant_is_switching_and_all_eight_are_there():
         "switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
 
 
-def test_the_model_is_the_page_s_and_honours_portions():
+def test_the_model_is_the_page_s_and_honours_parts_of_a_step():
     rng = np.random.default_rng(0)
     s, v, u = rng.uniform(0, 1900, 300), rng.uniform(0, 21.6, 300), rng.uniform(-1, 1, 300)
     model = setting().design_model({}, np.zeros((2, 300)))
     a = np.array([page_acceleration(*each) for each in zip(s, v, u, strict=True)])
-    for portion in (1.0, 0.5, rng.uniform(0.1, 1.0, 300)):
-        h = 0.2 * portion
+    for share in (1.0, 0.5, rng.uniform(0.1, 1.0, 300)):
+        h = 0.2 * share
         expected = np.array([s + h * v + h**2 * a / 2, v + h * a])
         # the source's curves leave a step of 0.1 % of the force where they begin; here they are cut at one instead
-        assert np.allclose(model.transition(np.array([s, v]), u[None], 0, portion), expected, atol=2e-4, rtol=0)
+        moved = model.transition(np.array([s, v]), u[None], part(0, share, 0.2))
+        assert np.allclose(moved, expected, atol=2e-4, rtol=0)
     points = rng.uniform(0, 20, (2, 5, 300))
-    together = model.transition(points, u[None], 0, 1.0)
+    together = model.transition(points, u[None], whole(0, 0.2))
     for p in range(5):
-        assert np.array_equal(together[:, p], model.transition(points[:, p], u[None], 0, 1.0))
+        assert np.array_equal(together[:, p], model.transition(points[:, p], u[None], whole(0, 0.2)))
 
 
 def test_the_jacobian_is_the_derivative_of_the_transition():
@@ -73,8 +77,8 @@ def test_the_jacobian_is_the_derivative_of_the_transition():
     for j in range(2):
         d = np.zeros((2, 1))
         d[j] = e
-        slope = (model.transition(x + d, u, 0, 1.0) - model.transition(x - d, u, 0, 1.0)) / (2 * e)
-        assert np.allclose(model.transition_jacobian(x, u, 0, 1.0)[:, j], slope, atol=1e-7)
+        slope = (model.transition(x + d, u, whole(0, 0.2)) - model.transition(x - d, u, whole(0, 0.2))) / (2 * e)
+        assert np.allclose(model.transition_jacobian(x, u, whole(0, 0.2))[:, j], slope, atol=1e-7)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -85,7 +89,7 @@ def test_truth_follows_the_model_and_keeps_the_bounds(variant):
     assert bounds is not None
     before = np.concatenate([np.array([[[0.0], [0.5]]]) + np.zeros((1, 2, 20)), w.truth[:-1]])
     for k in range(0, w.steps, 7):
-        moved = model.transition(before[k], w.u[k], k, 1.0)
+        moved = model.transition(before[k], w.u[k], whole(k, 0.2))
         acted = bounds.G * w.extra["disturbance"][k]
         active = w.active[k]
         assert np.allclose((moved + acted)[:, active], w.truth[k][:, active], atol=1e-9)
@@ -125,16 +129,17 @@ def test_the_model_does_not_depend_on_the_batch():
     rng = np.random.default_rng(2)
     x, u = rng.uniform(0, 21, (2, 1000)), rng.uniform(-1, 1, (1, 1000))
     Pi = np.repeat(np.diag([1.0, 0.04])[:, :, None], 1000, 2)
-    whole = setting().design_model({}, x)
-    assert whole.bounds and whole.bounds.kappa and whole.transition_jacobian
-    for part in (slice(0, 1), slice(3, 10)):
-        model = setting().design_model({}, x[:, part])
+    every = setting().design_model({}, x)
+    assert every.bounds and every.bounds.kappa and every.transition_jacobian
+    for some in (slice(0, 1), slice(3, 10)):
+        model = setting().design_model({}, x[:, some])
         assert model.bounds and model.bounds.kappa and model.transition_jacobian
         for name in ("transition", "transition_jacobian"):
-            one, all_ = (getattr(m, name) for m in (model, whole))
-            assert np.array_equal(one(x[:, part], u[:, part], 0, 1.0), all_(x, u, 0, 1.0)[..., part])
-        kappa = model.bounds.kappa(x[:, part], u[:, part], Pi[:, :, part])
-        assert np.array_equal(kappa, whole.bounds.kappa(x, u, Pi)[part])
+            one, all_ = (getattr(m, name) for m in (model, every))
+            step = whole(0, 0.2)
+            assert np.array_equal(one(x[:, some], u[:, some], step), all_(x, u, step)[..., some])
+        kappa = model.bounds.kappa(x[:, some], u[:, some], Pi[:, :, some])
+        assert np.array_equal(kappa, every.bounds.kappa(x, u, Pi)[some])
 
 
 def test_kappa_is_the_largest_change_of_the_speed_derivative():
@@ -159,11 +164,12 @@ def test_kappa_is_the_largest_change_of_the_speed_derivative():
 def textbook_ekf(w, model):
     """Mean squared error of each run (2, S) of a plain extended Kalman filter, from 5 s on."""
     x, P = w.initial_mean, np.repeat(model.initial_covariance, w.initial_mean.shape[1], 2).transpose(2, 0, 1)
-    R, Q = model.measurement_covariance(0)[:, :, 0], model.process_covariance(None, None, 0, 1.0)[:, :, 0]
+    R = model.measurement_covariance(untold(0, 2))[:, :, 0]
+    Q = model.process_covariance(None, None, whole(0, 0.2))[:, :, 0]
     total, count = np.zeros_like(x), np.zeros(x.shape[1])
     for k in range(w.steps):
-        F = model.transition_jacobian(x, w.u[k], k, 1.0).transpose(2, 0, 1)
-        x, P = model.transition(x, w.u[k], k, 1.0), F @ P @ F.transpose(0, 2, 1) + Q
+        F = model.transition_jacobian(x, w.u[k], whole(k, 0.2)).transpose(2, 0, 1)
+        x, P = model.transition(x, w.u[k], whole(k, 0.2)), F @ P @ F.transpose(0, 2, 1) + Q
         K = P @ np.linalg.inv(P + R)
         x, P = x + np.einsum("sij,js->is", K, w.y[k] - x), P - K @ P
         if k >= 25:
@@ -191,9 +197,13 @@ def test_moments_told_to_the_estimators():
     gamma = np.array([0.02, 0.2])
     for model, variance in ((matched, 0.15**2 / 3), (naive, 0.02**2), (gaussian, 0.15**2 / 9)):
         assert model.process_covariance and model.measurement_covariance
-        assert np.allclose(model.process_covariance(start, start, 0, 1.0)[:, :, 0], variance * np.outer(gamma, gamma))
-        half = np.array([0.005, 0.1])
-        assert np.allclose(model.process_covariance(start, start, 0, 0.5)[:, :, 0], variance * np.outer(half, half))
+        Q = model.process_covariance(start, start, whole(0, 0.2))[:, :, 0]
+        assert np.allclose(Q, variance * np.outer(gamma, gamma))
+        step = part(0, np.array([0.4, 0.6, 1.0]), 0.2)
+        parts = model.process_covariance(np.zeros((2, 3)), np.zeros((1, 3)), step)
+        assert np.array_equal(parts[:, :, 2], Q) and np.isclose(parts[1, 1, 0] + parts[1, 1, 1], Q[1, 1])
+        h = 0.08
+        assert np.allclose(parts[:, :, 0], variance * 0.2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]]))
     assert np.allclose(matched.initial_covariance[:, :, 0], np.diag([4, 0.09]))
 
 

@@ -16,6 +16,8 @@ from railstate.scenarios.moving_block.setting import MovingBlock
 from railstate.scenarios.moving_block.trains import TwoTrains
 from railstate.scenarios.randomness import Streams
 
+from ..models import heard, part
+
 LABELS = ("truth", "dead-reckoning", "ekf", "ukf", "ukf-printed", "ckf", "particle")
 FILTERS = ("ekf", "ukf", "ckf")
 
@@ -145,9 +147,9 @@ def test_one_state_of_both_trains_is_two_filters() -> None:
     for k in range(80):
         step = world.step(k, mean)
         for event in step.events:
-            estimator.predict(step.u, event.portion)
-            estimator.update(event.y, event.received)
-            share = float(np.broadcast_to(event.portion, 1)[0])
+            estimator.predict(step.u, part(k, event.share, world.period))
+            estimator.update(heard(event.y, event.received, k))
+            share = float(np.broadcast_to(event.share, 1)[0])
             for i in range(2):
                 x, p = textbook_step(setting, means[i], covariances[i], share * step.u[i, 0])
                 if event.received[2 * i, 0]:
@@ -184,7 +186,7 @@ def test_a_run_is_the_same_in_any_batch(label: str) -> None:
 # -- sensors ------------------------------------------------------------------------------------------------------
 
 def test_encoder_and_tags_are_what_the_file_says() -> None:
-    """Bias 2.4 % +- 0.6 %, a reading per tag passed at the tag's place +- 0.8 cm, portions adding up to the step."""
+    """Bias 2.4 % +- 0.6 %, a reading per tag passed at the tag's place +- 0.8 cm, shares adding up to the step."""
     setting = load("moving-block").setting("law-r")
     runs = 60
     world = setting.world(Streams(5, "moving-block", "law-r", tuple(range(runs))))
@@ -199,8 +201,8 @@ def test_encoder_and_tags_are_what_the_file_says() -> None:
         measured += step.u
         at, total = np.zeros(runs), np.zeros(runs)
         for event in step.events:
-            total += event.portion
-            at = at + event.portion
+            total += event.share
+            at = at + event.share
             for i in range(2):
                 heard = event.received[2 * i]
                 assert np.array_equal(heard, event.received[2 * i + 1])

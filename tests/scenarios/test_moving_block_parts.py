@@ -17,6 +17,8 @@ from railstate.scenarios.moving_block.control import (
 )
 from railstate.scenarios.moving_block.track import StadiumTrack
 
+from ..models import part, whole
+
 TRACK = StadiumTrack(straight=0.9, radius=0.5)
 LAW_P = Control(restoring=False, braking=1.6, limit=1.5, follow=1.6 * (math.sqrt(5) - 1) / 2, safe_gap=0.27, margin=0.0,
                 fixed=False, top_speed=1.2, period=0.05)
@@ -72,30 +74,30 @@ def some_states(runs: int) -> tuple[np.ndarray, np.ndarray]:
 
 def test_jacobian_matches_differences() -> None:
     state, u = some_states(40)
-    jacobian = TRACK.jacobian(state, u, 0, 0.7)
+    jacobian = TRACK.jacobian(state, u, part(0, 0.7))
     for j in range(4):
         h = np.zeros((4, 1))
         h[j] = 1e-6
-        numeric = (TRACK.transition(state + h, u, 0, 0.7) - TRACK.transition(state - h, u, 0, 0.7)) / 2e-6
+        numeric = (TRACK.transition(state + h, u, part(0, 0.7)) - TRACK.transition(state - h, u, part(0, 0.7))) / 2e-6
         np.testing.assert_allclose(jacobian[:, j], numeric, atol=1e-8)
 
 
 def test_no_travel_is_the_identity_to_the_last_bit() -> None:
     state, u = some_states(7)
-    portion = np.array([0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 1.0])
-    moved, jacobian = TRACK.transition(state, u, 0, portion), TRACK.jacobian(state, u, 0, portion)
-    still = portion == 0
+    share = np.array([0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 1.0])
+    moved, jacobian = TRACK.transition(state, u, part(0, share)), TRACK.jacobian(state, u, part(0, share))
+    still = share == 0
     assert np.array_equal(moved[:, still], state[:, still])
     assert np.array_equal(jacobian[:, :, still], np.repeat(np.eye(4)[:, :, None], still.sum(), axis=2))
-    assert np.array_equal(moved[:, portion == 1], TRACK.transition(state, u, 0, 1.0)[:, portion == 1])
+    assert np.array_equal(moved[:, share == 1], TRACK.transition(state, u, whole(0))[:, share == 1])
 
 
 def test_points_between_states_and_runs_move_like_states() -> None:
     state, u = some_states(5)
     points = np.stack([state, state + 0.01, state - 0.02], axis=1)
-    moved = TRACK.transition(points, u, 0, 1.0)
+    moved = TRACK.transition(points, u, whole(0))
     for n in range(3):
-        assert np.array_equal(moved[:, n], TRACK.transition(points[:, n], u, 0, 1.0))
+        assert np.array_equal(moved[:, n], TRACK.transition(points[:, n], u, whole(0)))
 
 
 def test_midpoint_heading_stays_on_the_track() -> None:
@@ -106,7 +108,7 @@ def test_midpoint_heading_stays_on_the_track() -> None:
     euler = state[:2, 0].copy()
     travelled = 0.0
     while travelled < TRACK.length - 0.06:
-        state = TRACK.transition(state, u, 0, 1.0)
+        state = TRACK.transition(state, u, whole(0))
         _, _, heading = TRACK.points(TRACK.arc_lengths(euler[:1], euler[1:]))
         euler += 0.06 * np.array([math.cos(heading[0]), math.sin(heading[0])])
         travelled += 0.06

@@ -14,6 +14,8 @@ from railstate.scenarios.railway.dynamics import GRAVITY, climb, level
 from railstate.scenarios.railway.line import Line, read_line, read_train
 from railstate.scenarios.randomness import Streams
 
+from ..models import whole
+
 VARIANTS = ("switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
 
 
@@ -70,7 +72,7 @@ def test_loads_change_what_the_train_can_do_and_nothing_else(pair):
     gain = np.array([[0.02], [0.2]])
     x, worst = world.truth[0], 0.0
     for k in range(1, world.steps):
-        expected = model.transition(x, world.u[k], k, 1.0) + gain * world.extra["disturbance"][k]
+        expected = model.transition(x, world.u[k], whole(k, 0.2)) + gain * world.extra["disturbance"][k]
         x = world.truth[k]
         worst = max(worst, np.abs(expected - x)[:, world.active[k]].max(initial=0.0))
     assert worst < 1e-6
@@ -89,11 +91,11 @@ class Echo(Estimator):
         super().start(model, runs, random)
         self.mean = model.initial_mean
 
-    def predict(self, u, portion):
+    def predict(self, u, interval):
         pass
 
-    def update(self, y, received):
-        self.mean = y
+    def update(self, measurement):
+        self.mean = measurement.y
 
     def estimate(self):
         return Estimate(mean=self.mean)
@@ -130,7 +132,7 @@ def test_truth_of_a_trip_follows_the_design_model(pair):
     setting, w = world(pair, "physical", range(5))
     model = setting.design_model({}, w.initial_mean)
     for k in range(1, w.steps):
-        moved = model.transition(w.truth[k - 1], w.u[k], k, 1.0)
+        moved = model.transition(w.truth[k - 1], w.u[k], whole(k, 0.2))
         acted = np.array([[0.02], [0.2]]) * w.extra["disturbance"][k]
         active = w.active[k]
         assert np.allclose((moved + acted)[:, active], w.truth[k][:, active], atol=1e-9)

@@ -11,12 +11,18 @@ from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Interval, untold
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import step_times
 
 MAP = {"time": "t_s", "position": "gnss_m", "speed": "v_kmh", "odometer": "odo_m", "reference_position": "s_km",
        "reference_speed": "v_mps"}
 SCALE = 0.968
+
+
+def over(length: float | np.ndarray) -> Interval:
+    """A whole step of so many seconds."""
+    return Interval(1, 0.0, length)
 
 
 def trip():
@@ -61,7 +67,7 @@ def test_estimators_of_the_page_are_listed():
 
 def test_units_intervals_and_readings_come_through(recording):
     table, w = trip(), setting(recording, "as-recorded").world(Streams(1, "recorded", "as-recorded", range(2)))
-    assert w.portions == pytest.approx(np.diff(table.t_s), rel=1e-9)
+    assert w.lengths == pytest.approx(np.diff(table.t_s), rel=1e-9)
     assert w.truth[:, 0, 1] == pytest.approx(1e3 * table.s_km[1:], abs=1e-9)
     assert w.truth[:, 1, 0] == pytest.approx(table.v_mps[1:], abs=1e-9)
     assert w.y[:, 0, 0] == pytest.approx(table.gnss_m[1:], abs=1e-9)
@@ -139,21 +145,21 @@ def test_the_model_s_jacobian_and_its_intervals(recording, motion, shortfall):
     x = np.concatenate([rng.uniform(5, 15, (2, 4)), rng.uniform(-.05, .05, (nx - 2, 4))])
     u = np.concatenate([rng.uniform(5, 9, (2, 4)), rng.uniform(-1, 1, (1, 4))])
     model = chosen.design_model(told, np.zeros((5, 4)))
-    portion = rng.uniform(0.5, 2.0, 4)
+    length = rng.uniform(0.5, 2.0, 4)
     assert model.transition_jacobian and model.process_covariance
     for j in range(nx):
         d = np.zeros((nx, 1))
         d[j] = e
-        slope = (model.transition(x + d, u, 0, portion) - model.transition(x - d, u, 0, portion)) / (2 * e)
-        assert np.allclose(model.transition_jacobian(x, u, 0, portion)[:, j], slope, atol=1e-7)
+        slope = (model.transition(x + d, u, over(length)) - model.transition(x - d, u, over(length))) / (2 * e)
+        assert np.allclose(model.transition_jacobian(x, u, over(length))[:, j], slope, atol=1e-7)
     points = np.repeat(x[:, None], 3, axis=1)
-    assert np.array_equal(model.transition(points, u, 0, portion)[:, 2], model.transition(x, u, 0, portion))
+    assert np.array_equal(model.transition(points, u, over(length))[:, 2], model.transition(x, u, over(length)))
     if motion in ("acceleration", "jerk"):
         # two intervals in a row add up to one: Q(a + b) = F(b) Q(a) F(b)' + Q(b); the shortfall is left out, it may
         # depend on where the speed is
         at = [0, 1, nx - 1] if motion == "jerk" else [0, 1]
-        F = model.transition_jacobian(x, 0 * u, 0, 0.7)[:, :, 0][np.ix_(at, at)]
-        a, b, both = (model.process_covariance(x, u, 0, h)[:, :, 0][np.ix_(at, at)] for h in (1.1, 0.7, 1.8))
+        F = model.transition_jacobian(x, 0 * u, over(0.7))[:, :, 0][np.ix_(at, at)]
+        a, b, both = (model.process_covariance(x, u, over(h))[:, :, 0][np.ix_(at, at)] for h in (1.1, 0.7, 1.8))
         assert np.allclose(F @ a @ F.T + b, both, rtol=1e-12)
 
 
@@ -163,9 +169,10 @@ def test_the_linear_form_is_the_model(recording):
     assert model.linear and model.process_covariance and model.measurement_jacobian
     x = np.array([[100.0], [8.0], [2.0], [0.03]])
     for k in (0, 7, 39, 60):
-        moved = model.transition(x, world.u[k], k, float(world.portions[k]))
+        moved = model.transition(x, world.u[k], over(float(world.lengths[k])))
         assert np.allclose(model.linear.A(k) @ x, moved, rtol=1e-12)
-        assert np.array_equal(model.linear.Q(k), model.process_covariance(x, world.u[k], k, world.portions[k])[:, :, 0])
+        Q = model.process_covariance(x, world.u[k], over(world.lengths[k]))
+        assert np.array_equal(model.linear.Q(k), Q[:, :, 0])
     assert np.array_equal(model.linear.C(0), model.measurement_jacobian(x, 0)[:, :, 0])
 
 
@@ -173,7 +180,7 @@ def test_kalman_equals_a_textbook_loop(recording):
     chosen = setting(recording)
     world, model, driven = run(chosen, "kalman", 3)
     assert model.linear and model.measurement_covariance
-    R, squared = model.measurement_covariance(0)[:, :, 0], np.zeros(3)
+    R, squared = model.measurement_covariance(untold(0, 3))[:, :, 0], np.zeros(3)
     for r in range(3):
         x, P = model.initial_mean[:, r], model.initial_covariance[:, :, 0]
         for k in range(world.steps):
@@ -211,7 +218,7 @@ def test_without_an_odometer_the_speed_is_integrated(recording):
     assert model.states == ("position", "speed") and model.measurements == ("position", "speed")
     assert driven.scored.metrics["rmse", "position"][0] < 2.0
     world, _, reckoned = run(chosen, "dead-reckoning", 1, "as-recorded")
-    travelled = (world.portions * world.y[:, 1, 0]).sum()
+    travelled = (world.lengths * world.y[:, 1, 0]).sum()
     final = abs(world.initial_mean[0, 0] + travelled - world.truth[-1, 0, 0])
     assert reckoned.scored.metrics["final", "position"][0] == pytest.approx(final, abs=1e-9)
 
@@ -285,7 +292,7 @@ def test_what_is_not_heard_is_not_told_either(recording):
     window = {"place": "windows", "windows": [[30.0, 60.0]], "sensors": ["odometer", "speed"]}
     chosen = setting(recording, "as-recorded", **{"sensors.outage": window})
     world = chosen.world(Streams(1, "recorded", "as-recorded", [0]))
-    since = np.cumsum(world.portions)
+    since = np.cumsum(world.lengths)
     inside = (since >= 30) & (since <= 60)
     assert (world.u[inside, 0] == 0).all() and len(np.unique(world.u[inside, 1])) == 1
     table = trip()
@@ -314,7 +321,7 @@ def test_a_coarse_odometer_is_noticed_and_begins_where_it_is_first_heard(tmp_pat
 def test_times_and_skipped_seconds_are_the_recording_s(recording):
     chosen = setting(recording, "as-recorded", **{"score.skip": 40.0})
     world, _, driven = run(chosen, "kalman", 1, "as-recorded")
-    times = step_times(world, 1.0)
+    times = step_times(world)
     table = trip()
     assert times == pytest.approx(table.t_s[1:] - table.t_s[1], abs=1e-9)
     assert np.flatnonzero(driven.scored.curves["active"])[0] == np.searchsorted(times, 40.0)

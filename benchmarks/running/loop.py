@@ -1,0 +1,107 @@
+"""The only loop in the suite that feeds an estimator: rows, latency, speed comparisons and the conformance test use it.
+
+Causality holds by construction, closed loops work, and the estimator's time is measured apart from everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import perf_counter
+
+import numpy as np
+
+from ...estimators.interface import Estimate, Estimator, Innovation
+from ...scenarios.arrays import Mask
+from ...scenarios.errors import InputError
+from ...scenarios.measurement import Interval, Measurement, PerRun
+from ...scenarios.world import FIRST_EDITION, Step, World
+
+
+class Observer:
+    """What is looked at on the way, outside the estimator's time. Arrays handed in may be reused by the next call.
+
+    every: `predicted` and `updated` come for each event, not for the last of a step alone; innovations: `measured` is
+    called. Nothing that is not asked for is computed."""
+
+    predicted_wanted = False
+    updated_wanted = True
+    every = False
+
+    def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
+        """The estimate before the measurement of an event."""
+
+    def measured(self, step: Step, measurement: Measurement, innovation: Innovation) -> None:
+        """The innovation of a measurement, where the estimator tells one."""
+
+    def updated(self, step: Step, event: int, estimate: Estimate) -> None:
+        """The estimate after the measurements of an event."""
+
+
+class Loop:
+    """A started estimator in a world. `step` goes one step ahead; seconds: spent inside the estimator so far.
+
+    idle: the estimator is called even where no run of the batch has anything to do."""
+
+    def __init__(self, world: World, estimator: Estimator, observer: Observer, *, idle: bool = True) -> None:
+        self.world, self.estimator, self.observer, self.idle = world, estimator, observer, idle
+        begun = perf_counter()
+        self.mean = estimator.estimate().mean
+        self.seconds = perf_counter() - begun
+
+    def steps(self) -> Iterator[Step]:
+        """All steps of the world, until no run is under way any more."""
+        for k in range(self.world.steps):
+            step = self.step(k)
+            if step is None:
+                return
+            yield step
+
+    def step(self, k: int) -> Step | None:
+        """What happens on the way to the world's instant k; None, and nothing happens, once all runs have ended."""
+        estimator, observer = self.estimator, self.observer
+        step = self.world.step(k, self.mean)
+        under_way = int(np.count_nonzero(step.active))
+        if not under_way:
+            return None
+        if step.number == FIRST_EDITION:
+            raise InputError(
+                f"{type(self.world).__name__}.step: a Step needs number=.. (0 is the start), start=.. and length=.. in "
+                "seconds, its events Event(share, y, received) with the share of the step; one without is of "
+                "railstate's first edition")
+        listens = None if under_way == len(step.active) else step.active
+        if estimator.oracle:
+            estimator.reveal(step.truth)
+        last, gone, begun = len(step.events) - 1, 0.0, perf_counter()
+        for number, event in enumerate(step.events):
+            share = event.share
+            if not (isinstance(share, float) and share == 0.0) and (self.idle or np.any(share)):
+                estimator.predict(step.u, Interval(step.number, step.start + gone * step.length, share * step.length,
+                                                   share))
+            gone = gone + share
+            if observer.predicted_wanted and (number == last or observer.every):
+                estimate = estimator.estimate()
+                self.seconds += perf_counter() - begun
+                observer.predicted(step, number, estimate)
+                begun = perf_counter()
+            for measurement in self._arriving(step, number, gone, listens):
+                innovation = estimator.update(measurement)
+                if innovation is not None:
+                    self.seconds += perf_counter() - begun
+                    observer.measured(step, measurement, innovation)
+                    begun = perf_counter()
+            if observer.updated_wanted and (number == last or observer.every):
+                estimate = estimator.estimate()
+                self.mean = estimate.mean
+                self.seconds += perf_counter() - begun
+                observer.updated(step, number, estimate)
+                begun = perf_counter()
+        if self.world.closed_loop and not observer.updated_wanted:
+            self.mean = estimator.estimate().mean
+        self.seconds += perf_counter() - begun
+        return step
+
+    def _arriving(self, step: Step, number: int, gone: PerRun, listens: Mask | None) -> Iterator[Measurement]:
+        """The measurements that are there at an event of a step: its own. Runs that have ended hear nothing."""
+        event = step.events[number]
+        received = event.received if listens is None else event.received & listens
+        if self.idle or received.any():
+            yield Measurement(event.y, received, step.number, number, step.start + gone * step.length, event.covariance)
