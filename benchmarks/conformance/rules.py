@@ -14,6 +14,7 @@ import numpy as np
 from ...estimators.interface import Status, misshapen
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Unsupported
+from ...scenarios.measurement import untold
 from ...scenarios.model import DesignModel
 from .trial import CLAIMS, DoesNotApply, Record, Rule, Trial, difference, feed
 
@@ -230,8 +231,8 @@ def _numpy_state() -> bytes:
 
 def _arrays(model: DesignModel) -> Iterator[tuple[str, Array]]:
     """The arrays a design model holds or hands out, by name."""
-    for name, value in (*vars(model).items(), *(("measurement_covariance", r(0)) for r in [model.measurement_covariance]
-                                                if r)):
+    for name, value in (*vars(model).items(), *(("measurement_covariance", r(untold(0, model.ny)))
+                                                for r in [model.measurement_covariance] if r)):
         if isinstance(value, np.ndarray):
             yield name, value
     for part in (model.bounds, model.modes):
