@@ -12,10 +12,10 @@ import re
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from ..scenarios.errors import InputError
 from ..scenarios.registry import load_group
+from ..scenarios.source import LOOSE
 from .interface import Estimator, first_edition
 
 _loose: dict[str, type[Estimator]] = {}
@@ -50,7 +50,7 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
         raise InputError(f"{path}: no such file; --plugin takes a Python file with an Estimator class")
     # by content too: what was changed in the meantime is another module
     digest = hashlib.sha256(str(file).encode() + file.read_bytes()).hexdigest()
-    module_name = f"railstate_plugin_{digest[:12]}"
+    module_name = f"{LOOSE}{digest[:12]}"
     module = sys.modules.get(module_name)
     if module is None:
         spec = importlib.util.spec_from_file_location(module_name, file)
@@ -81,22 +81,3 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
                          f"{'file' if len(classes) == 1 else 'class'}")
     _loose.update(found)
     return found
-
-
-@cache
-def source_hash(cls: type[Any]) -> str:
-    """Hash of the source a class is made of: its own and its bases' modules, and for modules of railstate the whole
-    package they lie in (kernels and plants included)."""
-    files: dict[str, Path] = {}
-    for base in cls.__mro__:
-        file = getattr(sys.modules.get(base.__module__), "__file__", None)
-        if file and base.__module__.startswith("railstate."):
-            package = ".".join(base.__module__.split(".")[:2])
-            root = Path(sys.modules[package].__path__[0])
-            files.update({f"{package}/{path.relative_to(root).as_posix()}": path for path in root.rglob("*.py")})
-        elif file and base is not object:
-            files[base.__module__] = Path(file)
-    digest = hashlib.sha256()
-    for _, path in sorted(files.items()):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]

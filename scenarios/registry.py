@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError
+from pydantic import ValidationError
+
+from .errors import InputError, describe
 from .setting import Setting
 
 
@@ -48,3 +51,13 @@ def setting_for(kind: str, where: str) -> type[Setting[Any]]:
     if kind not in settings():
         raise InputError(f"{where}: plant.kind = \"{kind}\" is unknown; allowed: {', '.join(sorted(settings()))}")
     return settings()[kind]
+
+
+def setting_of(table: Mapping[str, Any], where: str) -> Setting[Any]:
+    """The setting of a variant's resolved table. Raises InputError for a table that is none."""
+    plant = table.get("plant")
+    kind = setting_for(str(plant.get("kind")) if isinstance(plant, Mapping) else "", where)
+    try:
+        return kind(kind.Config.model_validate(dict(table)))
+    except ValidationError as error:
+        raise InputError("\n".join(describe(error, kind.Config, where))) from None

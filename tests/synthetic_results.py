@@ -60,7 +60,7 @@ def write_results(folder: Path, *, keep: bool = True, seed: int = 5) -> Path:
 
 def _configuration(plans: list[Any]) -> dict[str, Any]:
     return {"runs": RUNS, "seed": 5, "keep": 1, "cells": {
-        f"{scenario}/{variant}": {"scenario": "0" * 16, "estimators": {
+        f"{scenario}/{variant}": {"runs": RUNS, "scenario": "0" * 16, "setting": "", "scoring": "", "estimators": {
             label: {"plugin": facts[0], "parameters": {}, "knowledge": {}, "source": ""}
             for label, facts in estimators.items()}}
         for scenario, variant, _, estimators, _ in plans}}
@@ -82,7 +82,9 @@ def _description(plans: list[Any]) -> dict[str, Any]:
             "estimators": {name: {"summary": name, "source": "", "claims": [], "oracle": name == "kalman-known-f"}
                            for name in plugins},
             "replay": {"plugins": [], "cells": {f"{scenario}/{variant}": {
-                "where": scenario, "table": {}, "entries": {}} for scenario, variant, *_ in plans}}}
+                "where": scenario, "table": {}, "entries": {label: {"plugin": facts[0]}
+                                                            for label, facts in estimators.items()}}
+                for scenario, variant, _, estimators, _ in plans}}}
 
 
 def _estimator(rng: np.random.Generator, scenario: str, variant: str, kind: str, label: str, facts: tuple[Any, ...],

@@ -8,17 +8,19 @@ from typing import Annotated
 import typer
 
 from ...scenarios.errors import InputError
+from ..store.folder import inside
 
 FORMATS = ("svg", "pdf", "png")
 
 
 def report(
     folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
+    out: Annotated[str, typer.Option(metavar="FILE.html", help="Where to write (default: DIR/report.html).")] = "",
 ) -> None:
     """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
     from ..telling.report import write_report
 
-    path = write_report(folder)
+    path = write_report(folder, out)
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
@@ -44,7 +46,7 @@ def plot(
         written = 0
         for item, scenario, variant, canvas in drawn(results, figure or None):
             stem = "~".join(part for part in (item.name, scenario, variant) if part)
-            canvas.save(target / f"{stem}.{format_}")
+            canvas.save(inside(target, f"{stem}.{format_}"))
             written += 1
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error}") from None

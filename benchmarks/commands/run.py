@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ...estimators.interface import Status
 from ...scenarios.errors import InputError
 from ..planning.plan import make_plan
 from ..running.runner import Machinery
@@ -26,7 +27,7 @@ def run(
     seed: Seed = 1,
     jobs: Jobs = 0,
     batch: Annotated[int, typer.Option(help="Runs computed together (0: chosen). Does not change a row.")] = 0,
-    out: Annotated[str, typer.Option(help="Results folder; an unfinished one is continued.")] = "",
+    out: Annotated[str, typer.Option(help="Results folder; what it lacks is added.")] = "",
     set_: Sets = [],  # noqa: B006
     plugin: Plugins = [],  # noqa: B006
     keep: Annotated[int, typer.Option(help="Keep the trajectories of the first N runs for figures.")] = 1,
@@ -38,6 +39,9 @@ def run(
     backend: Annotated[str, typer.Option(help="local, or a joblib cluster backend: dask, ray.")] = "local",
     scheduler: Annotated[str, typer.Option(help="Address of the cluster's scheduler.")] = "",
     timeout: Annotated[float, typer.Option(help="Seconds after which a task counts as hung.")] = 900.0,
+    retry: Annotated[str, typer.Option(metavar="STATUS,..", help="Statuses to compute anew: crashed,timeout,..")] = "",
+    overwrite: Annotated[bool, typer.Option(
+        "--overwrite", help="Compute anew what the folder holds of this; replace another configuration.")] = False,
 ) -> None:
     """Run estimators on scenarios and print the tables."""
     changes = {**overrides(set_), **_files(line, train, recording, map_)}
@@ -45,12 +49,16 @@ def run(
         raise InputError("--batch and --jobs: must be 0 (chosen) or more")
     if not timeout > 0:
         raise InputError("--timeout: must be more than 0 seconds")
+    again = names_in(retry)
+    allowed = [status.name for status in Status if status is not Status.ok]
+    if not set(again) <= set(allowed) or (retry and not again):
+        raise InputError(f"--retry {retry}: expected statuses of lost rows; allowed: {', '.join(allowed)}")
     plan = make_plan(scenarios or [], only=labels(estimators), runs=runs, seed=seed, keep=keep, overrides=changes,
                      plugins=plugin)
     folder = Path(out) if out else default_folder(plan)
     machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout)
     command = shlex.join(["railstate", *sys.argv[1:]])
-    print_results(complete(plan, folder, machinery, command))
+    print_results(complete(plan, folder, machinery, command, retry=again, overwrite=overwrite))
 
 
 def _files(line: str, train: str, recording: str, columns: str) -> dict[str, Any]:

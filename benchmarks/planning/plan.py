@@ -12,32 +12,38 @@ from typing import Any
 from pydantic import ValidationError
 
 from ...estimators.interface import Estimator
-from ...estimators.registry import estimator_class, estimators, load_file, source_hash
+from ...estimators.registry import estimator_class, estimators, load_file
 from ...scenarios.errors import InputError, describe
 from ...scenarios.files import DISPLAY, Scenario, load
-from ...scenarios.registry import scenario_files, settings
+from ...scenarios.registry import scenario_files, setting_of, settings
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
+from ...scenarios.source import source_hash
 from .naming import find
+
+SCORING = "railstate.benchmarks.running.execute"
+"""The module from which all is imported that turns a cell and an estimator into rows."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One scenario variant (its resolved table) with the entries of the estimators to run, by label."""
+    """One scenario variant (its resolved table) with the entries of the estimators to run, by label.
+
+    runs: how many it has at least, where a folder holds more than the plan asks for."""
 
     scenario: str
     variant: str
     where: str
     table: Mapping[str, Any] = field(repr=False)
     entries: Mapping[str, EstimatorEntry]
+    runs: int = 0
 
     @property
     def key(self) -> str:
         return f"{self.scenario}/{self.variant}"
 
     def setting(self) -> Setting[Any]:
-        kind = settings()[self.table["plant"]["kind"]]
-        return kind(kind.Config.model_validate(dict(self.table)))
+        return setting_of(self.table, self.where)
 
 
 @dataclass(frozen=True)
@@ -63,19 +69,30 @@ class Plan:
     plugins: tuple[str, ...] = ()
 
     def configuration(self) -> dict[str, Any]:
-        """What must be the same for two runs to have the same rows (display names aside)."""
+        """What must be the same for two runs to have the same rows (display names aside): what is asked for, and the
+        hashes of the code that computes it."""
+        scoring = source_hash(SCORING)
+        hashes: dict[str, str] = {}
+
+        def code(cls: type) -> str:
+            if cls.__module__ not in hashes:
+                hashes[cls.__module__] = source_hash(cls.__module__)
+            return hashes[cls.__module__]
+
         return {
-            "runs": self.runs,
+            "runs": max([self.runs, *(cell.runs for cell in self.cells)]),
             "seed": self.seed,
             "keep": self.keep,
             "cells": {
                 cell.key: {
+                    "runs": max(self.runs, cell.runs),
                     "scenario": Scenario(cell.scenario, cell.where, {cell.variant: dict(cell.table)}, cell.variant)
                     .content_hash(cell.variant),
-                    "setting": source_hash(settings()[cell.table["plant"]["kind"]]),
+                    "setting": code(settings()[cell.table["plant"]["kind"]]),
+                    "scoring": scoring,
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
-                                "source": source_hash(estimators()[entry.plugin])}
+                                "source": code(estimators()[entry.plugin])}
                         for label, entry in cell.entries.items()
                     },
                 }

@@ -14,10 +14,11 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
     for cell in plan.cells:
         setting = cell.setting()
         room = max(1, int(400e6 / max(setting.batch_bytes(), 1)))
-        share = plan.runs if len(plan.cells) >= 2 * jobs else -(-plan.runs // jobs)
+        count = max(plan.runs, cell.runs)
+        share = count if len(plan.cells) >= 2 * jobs else -(-count // jobs)
         size = batch or max(1, min(500, room, share))
         missing: dict[tuple[str, ...], list[int]] = {}
-        for run in range(plan.runs):
+        for run in range(count):
             labels = tuple(label for label in cell.entries if run not in done.get((cell.key, label), ()))
             if labels:
                 missing.setdefault(labels, []).append(run)
@@ -30,6 +31,6 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
 
 
 def task_name(task: Task) -> str:
-    """The name of a task's part in a folder."""
-    digest = hashlib.sha256("\0".join(task.labels).encode()).hexdigest()[:8]
+    """The name of a task's part in a folder: no other task has it, so none is written over."""
+    digest = hashlib.sha256("\0".join([*task.labels, *map(str, task.runs)]).encode()).hexdigest()[:8]
     return f"{task.cell.scenario}~{task.cell.variant}~{task.runs[0]:06d}-{task.runs[-1]:06d}~{digest}"

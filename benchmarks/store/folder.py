@@ -1,13 +1,14 @@
 """A results folder: parts written whole, the manifest, and readers that check what they read.
 
-Layout (public): {rows,curves,trajectories}/*.parquet, summary.csv, timing.csv, tables/, manifest.json.
-A part of `rows` is written last: curves and trajectories without their rows do not count."""
+Layout (public): {rows,curves,trajectories}/*.parquet, summary.csv, timing.csv, tables/, manifest.json."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -16,14 +17,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import ValidationError
 
-from ...scenarios.errors import InputError
+from ...scenarios.errors import InputError, describe
 from ..scoring.columns import IDENTITY, TIMING
-from .manifest import MANIFEST, differing, environment
+from .lock import LOCK, locked
+from .manifest import SCHEMA, Manifest
+from .parts import CURVES, SUMS, labels_in, part_paths, read_curves, read_part, read_rows, read_trajectories, without
+from .provenance import environment
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Gone = Mapping[tuple[str, str], Collection[int] | None]
+"""(scenario/variant, estimator) -> runs whose rows are to go (None: all)."""
 
 
 class Store:
@@ -31,109 +38,176 @@ class Store:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
+        self._manifest: dict[str, Any] | None = None
 
     # -- writing ---------------------------------------------------------------------------------------------------
-    def open(self, configuration: Mapping[str, Any], description: Mapping[str, Any], command: str) -> None:
-        """Create the folder, or continue one of the same configuration. Raises InputError naming what differs."""
-        manifest = self.folder / "manifest.json"
-        if manifest.exists():
-            differences = differing(self.manifest()["configuration"], json.loads(json.dumps(configuration)))
-            if differences:
-                shown = "\n".join(f"  {line}" for line in differences[:8])
-                raise InputError(f"{self.folder}: holds results of another configuration; choose another --out or "
-                                 f"remove it. What differs (there -> now):\n{shown}")
-        elif self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+    @property
+    def exists(self) -> bool:
+        """Whether it is a results folder. Raises InputError for a folder of something else."""
+        if (self.folder / "manifest.json").exists():
+            return True
+        if self.folder.exists() and (not self.folder.is_dir() or any(
+                path.name != LOCK for path in self.folder.iterdir())):
             raise InputError(f"{self.folder}: is not empty and not a results folder (no manifest.json); choose another "
                              "--out")
-        if not manifest.exists():  # first of all: without it the folder is nobody's
-            self.write_text("manifest.json", json.dumps({
-                "railstate": version("railstate"), "command": command, "configuration": configuration,
-                **description, "environment": environment(), "started": datetime.now(UTC).isoformat(timespec="seconds"),
-                "finished": None}, indent=1))
+        return False
+
+    @property
+    def writable(self) -> bool:
+        """Whether anything can be written to it, or it can be made."""
+        place = self.folder
+        while not place.exists() and place != place.parent:
+            place = place.parent
+        lock = self.folder / LOCK
+        return os.access(place, os.W_OK | os.X_OK) and (not lock.exists() or os.access(lock, os.W_OK))
+
+    @contextmanager
+    def writing(self, command: str) -> Iterator[None]:
+        """Make the folder and hold its lock. Raises InputError where another process does, or it is something else's.
+        """
+        self.exists  # noqa: B018  (refused before anything is put into it)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with locked(self.folder, command):
+            self._manifest = None
+            for kind in ("rows", "curves", "trajectories", ""):
+                for leftover in (self.folder / kind).glob(".*.[0-9]*"):  # of a process that was killed
+                    leftover.unlink(missing_ok=True)
+            yield
+
+    def open(self, configuration: Mapping[str, Any], description: Mapping[str, Any], command: str,
+             afresh: bool = False) -> None:
+        """Write the manifest (first of all: without it the folder is nobody's), or what it now holds besides; afresh:
+        instead. Raises InputError for names of which no file can be made."""
+        before = self.manifest() if self.exists and not afresh else None
+        commands: list[str] = before["command"].split(" && ") if before else []
+        commands += [command] if command not in commands else []
+        self._write_manifest({
+            "schema_version": SCHEMA, "railstate": version("railstate"), "environment": environment(),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"), **(before or {}),
+            "command": " && ".join(commands), "configuration": configuration, **description, "finished": None})
         for name in ("rows", "curves", "trajectories", "tables"):
             (self.folder / name).mkdir(parents=True, exist_ok=True)
 
-    def finish(self, **facts: Any) -> None:
-        """Record the end of the run in the manifest."""
-        self.write_text("manifest.json", json.dumps({
-            **self.manifest(), "finished": datetime.now(UTC).isoformat(timespec="seconds"), **facts}, indent=1))
+    def finish(self, *, rows: int, **facts: Any) -> None:
+        """Record in the manifest how many rows there are, and the end of the run if those are all."""
+        manifest = self.manifest()
+        wanted = sum(cell["runs"] * len(cell["estimators"]) for cell in manifest["configuration"]["cells"].values())
+        now = datetime.now(UTC).isoformat(timespec="seconds") if rows == wanted else None
+        self._write_manifest({**manifest, "rows": rows, **facts, "finished": now})
+
+    def _write_manifest(self, content: Mapping[str, Any]) -> None:
+        text = json.dumps(content, indent=1, default=list)
+        self._manifest = _validated(text, self.folder / "manifest.json")
+        self.write_text("manifest.json", text)
 
     def write_part(self, stem: str, **tables: pa.Table | None) -> None:
         """Write the tables of one task; `rows` last, each whole or not at all."""
         for kind in ("curves", "trajectories", "rows"):
             table = tables.get(kind)
             if table is not None:
-                path = self.folder / kind / f"{stem}.parquet"
-                temporary = path.with_name(f".{path.name}.{os.getpid()}")
-                pq.write_table(table, temporary)
-                os.replace(temporary, path)
+                self._write_table(inside(self.folder / kind, f"{stem}.parquet"), table)
+
+    def _write_table(self, path: Path, table: pa.Table) -> None:
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            pq.write_table(table, temporary)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a text file whole or not at all."""
-        path = self.folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
+        """Write a text file whole or not at all. Raises InputError for a name that leads out of the folder."""
+        write_whole(inside(self.folder, name), text)
+
+    def write_timing(self, lines: pd.DataFrame) -> None:
+        """Write lines of timing.csv, instead of those that it has of the same cells and estimators."""
+        import pandas as pd
+
+        before = self.timing()
+        if before is not None:
+            lines = pd.concat([before, lines]).drop_duplicates(list(TIMING[:3]), keep="last")
+        self.write_text("timing.csv", lines.to_csv(index=False))
+
+    def drop(self, gone: Gone) -> None:
+        """Take rows out, with what belongs to them; a part without rows goes whole."""
+        if not gone:
+            return
+        for path in part_paths(self.folder, "rows"):
+            table = read_part(path, "rows")
+            left = without(table, gone)
+            if not left.num_rows:
+                for kind in ("rows", "curves", "trajectories"):  # rows first: the others do not count without them
+                    (self.folder / kind / path.name).unlink(missing_ok=True)
+            elif left.num_rows < table.num_rows:
+                self._write_table(path, left)
+        for path in (self.folder / "tables").glob("*"):  # made again from what stays
+            path.unlink()
+        timing = self.timing()
+        if timing is not None:
+            lines = zip(*(timing[name] for name in TIMING[:3]), strict=True)
+            stay = [gone.get((f"{scenario}/{variant}", label), ()) is not None for scenario, variant, label in lines]
+            self.write_text("timing.csv", timing[stay].to_csv(index=False))
 
     # -- reading ---------------------------------------------------------------------------------------------------
     def manifest(self) -> dict[str, Any]:
-        """manifest.json. Raises InputError where there is none or it is damaged."""
-        path = self.folder / "manifest.json"
-        if not path.is_file():
-            raise InputError(f"{self.folder}: not a results folder (no manifest.json); `railstate run --out DIR` makes "
-                             "one")
-        try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
-            cells = manifest["configuration"]["cells"]
-            for key, kind in MANIFEST.items():
-                if not isinstance(manifest[key], kind):
-                    raise TypeError(f"{key} is no {kind.__name__}")
-            for name, key in ((key.split("/")[0], key) for key in cells):
-                if not {"variants", "table"} <= {*manifest["scenarios"][name], *manifest["replay"]["cells"][key]}:
-                    raise KeyError(key)
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: damaged: {error!r}") from None
-        return manifest
+        """manifest.json, read once. Raises InputError where there is none, it is damaged or of another version."""
+        if self._manifest is None:
+            path = self.folder / "manifest.json"
+            try:
+                self._manifest = _validated(path.read_bytes(), path)
+            except (FileNotFoundError, NotADirectoryError):
+                raise InputError(f"{self.folder}: not a results folder (no manifest.json); `railstate run --out DIR` "
+                                 "makes one") from None
+            except OSError as error:
+                raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        return self._manifest
 
     def done(self) -> dict[tuple[str, str], set[int]]:
         """(scenario/variant, estimator) -> the runs that have rows."""
         found: dict[tuple[str, str], set[int]] = {}
-        table = self._read("rows", list(IDENTITY))
+        table = self._rows(IDENTITY)
+        for cell, estimator, run in [] if table is None else labels_in(table):
+            found.setdefault((cell, estimator), set()).add(run)
+        return found
+
+    def lost(self, statuses: Collection[str]) -> dict[tuple[str, str], set[int]]:
+        """(scenario/variant, estimator) -> the runs whose rows have one of these statuses."""
+        found: dict[tuple[str, str], set[int]] = {}
+        table = self._rows((*IDENTITY, "status"))
         if table is not None:
-            for scenario, variant, estimator, run in zip(*(table[name].to_pylist() for name in IDENTITY), strict=True):
-                found.setdefault((f"{scenario}/{variant}", estimator), set()).add(run)
+            words = table["status"].to_pylist()
+            for (cell, estimator, run), status in zip(labels_in(table), words, strict=True):
+                if status in statuses:
+                    found.setdefault((cell, estimator), set()).add(run)
         return found
 
     def rows(self) -> pd.DataFrame:
         """All rows, sorted by scenario, variant, estimator (in the manifest's order) and run. Raises InputError."""
-        manifest = self.manifest()
-        table = self._read("rows")
+        table = self._rows()
         if table is None:
-            raise InputError(f"{self.folder}: holds no finished rows yet; continue it with: {manifest['command']}")
-        frame = table.to_pandas()
-        places = [f"{cell}/{label}" for cell, value in manifest["configuration"]["cells"].items()
-                  for label in value["estimators"]]
-        place = (frame["scenario"] + "/" + frame["variant"] + "/" + frame["estimator"]).map(
-            {key: n for n, key in enumerate(places)})
-        return frame.iloc[np.lexsort((frame["run"], place))].reset_index(drop=True)
+            raise InputError(f"{self.folder}: holds no finished rows yet; continue it with: "
+                             f"{self.manifest()['command']}")
+        places: dict[str, int] = {}
+        for cell, value in self.manifest()["configuration"]["cells"].items():
+            for label in value["estimators"]:
+                places[f"{cell}/{label}"] = len(places)
+        place = [places["/".join(names)] for names in zip(
+            *(table[name].to_pylist() for name in IDENTITY[:3]), strict=True)]
+        table = table.take(pa.array(np.lexsort((table["run"].to_numpy(), place))))
+        return table.to_pandas(split_blocks=True, self_destruct=True)
 
     def curves(self) -> pd.DataFrame:
         """Sums over all runs per scenario, variant, estimator, quantity and step (empty if there are none)."""
         import pandas as pd
 
-        table = self._read("curves")
+        table = read_curves(self.folder)
         if table is None:
-            return pd.DataFrame(columns=["scenario", "variant", "estimator", "quantity", "step", "time", "active",
-                                         "squared", "fourth", "error"])
-        keys = ["scenario", "variant", "estimator", "quantity", "step", "time"]
-        sums = ["active", "squared", "fourth", "error"]
-        whole = table.group_by(keys, use_threads=False).aggregate([(name, "sum") for name in sums])
-        return whole.rename_columns({f"{name}_sum": name for name in sums}).to_pandas(strings_to_categorical=True)
+            return pd.DataFrame(columns=[*CURVES, *SUMS])
+        return table.to_pandas(strings_to_categorical=True)
 
     def trajectories(self) -> pd.DataFrame | None:
         """The kept trajectories (`--keep N`), or None."""
-        table = self._read("trajectories")
+        table = read_trajectories(self.folder)
         return None if table is None else table.to_pandas(strings_to_categorical=True)
 
     def timing(self) -> pd.DataFrame | None:
@@ -144,24 +218,50 @@ class Store:
         if not path.is_file():
             return None
         try:
-            table = pd.read_csv(path)
-            return table.astype(dict.fromkeys(TIMING[3:], float)).astype(dict.fromkeys(TIMING[:3], str))
+            table = pd.read_csv(path, dtype=dict.fromkeys(TIMING[:3], str), keep_default_na=False,
+                                na_values={name: ["", "nan", "NaN"] for name in TIMING[3:]})
+            if table.duplicated(list(TIMING[:3])).any():
+                raise ValueError("a line stands in it twice")
+            return table.astype(dict.fromkeys(TIMING[3:], float))
         except (ValueError, KeyError, OSError) as error:
-            raise InputError(f"{path}: damaged: {error}") from None
+            raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}; remove it and run again") from None
 
-    def _read(self, kind: str, columns: list[str] | None = None) -> pa.Table | None:
-        rows = {path.name for path in (self.folder / "rows").glob("*.parquet")}
-        tables = []
-        for path in sorted((self.folder / kind).glob("*.parquet")):
-            if path.name not in rows:
-                continue
-            try:
-                table = pq.ParquetFile(path).read(columns)
-                missing = [name for name in IDENTITY[:3 if kind == "curves" else 4] if name not in table.column_names]
-                if missing:
-                    raise OSError(f"no column {missing[0]}")
-                tables.append(table)
-            except (pa.ArrowInvalid, pa.ArrowKeyError, OSError) as error:
-                raise InputError(f"{path}: damaged ({str(error).splitlines()[0]}); remove it and run again: only its "
-                                 "rows are computed anew") from None
-        return pa.concat_tables(tables, promote_options="default") if tables else None
+    def _rows(self, columns: tuple[str, ...] | None = None) -> pa.Table | None:
+        return read_rows(self.folder, self.manifest()["configuration"]["cells"], columns)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The path of a file in a folder. Raises InputError for a name that leads out of it or is none."""
+    parts = name.split("/")
+    if not all(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._~=,@+-]*", part) for part in parts):
+        raise InputError(f"{name[:200]!r}: is no name of a file in {folder}")
+    return folder.joinpath(*parts)
+
+
+def _validated(text: str | bytes, path: Path) -> dict[str, Any]:
+    """A manifest's content. Raises InputError."""
+    try:
+        raw = json.loads(text)
+        found = raw.get("schema_version", 1) if isinstance(raw, dict) and "configuration" in raw else SCHEMA
+        if found != SCHEMA:
+            raise InputError(f"{path}: was written by railstate {str(raw.get('railstate', '?'))[:40]} (folders of "
+                             f"version {str(found)[:20]}; this one reads {SCHEMA}): read it with that one, or run "
+                             "again with another --out")
+        return Manifest.model_validate(raw).model_dump()
+    except ValidationError as error:
+        lines = describe(error, Manifest)
+        more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
+        raise InputError(f"{path}: damaged: {lines[0]}{more}") from None
+    except (ValueError, RecursionError, TypeError) as error:
+        raise InputError(f"{path}: damaged: {str(error).splitlines()[0][:200]}") from None

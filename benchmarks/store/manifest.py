@@ -1,32 +1,172 @@
-"""What a results folder knows of its plan, its estimators and the machine; and the plan made anew from it."""
+"""manifest.json: what a results folder knows of its plan, its estimators and the machine; read once, as a stranger's.
+
+No name in it is taken that could not have been written: files are named after variants and estimators."""
 
 from __future__ import annotations
 
-import os
-import platform
-import reprlib
-import subprocess
-import sys
 from collections.abc import Mapping
-from importlib.metadata import version
-from pathlib import Path
-from typing import Any
+from datetime import datetime
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, model_validator
 
 from ...estimators.registry import estimators
-from ...scenarios.schema import EstimatorEntry
-from ..planning.plan import Cell, Plan
+from ...scenarios.schema import Label, Name
+from ..planning.plan import Cell, EstimatorEntry, Plan
+
+SCHEMA = 2
+"""Version of the folder's layout and of this file's keys."""
+
+
+def _moment(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("needs its offset from UTC")
+    return text
+
+
+Moment = Annotated[str, AfterValidator(_moment)]
+CellKey = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*/[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Text = Annotated[str, Field(max_length=20_000)]
+
+
+class _Part(BaseModel):
+    """A table of the manifest. Keys that it does not name are kept as they are and decide nothing."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False, protected_namespaces=())
+
+
+class EstimatorKey(_Part):
+    """What an estimator's rows depend on besides their cell."""
+
+    plugin: str
+    parameters: dict[str, Any]
+    knowledge: dict[str, Any]
+    source: str
+
+
+class KeyOfCell(_Part):
+    """What the rows of a cell depend on, and how many runs it has."""
+
+    runs: PositiveInt
+    scenario: str
+    setting: str
+    scoring: str
+    estimators: Annotated[dict[Label, EstimatorKey], Field(min_length=1)]
+
+
+class Configuration(_Part):
+    """The keys of all rows. runs: the most that a cell has."""
+
+    runs: PositiveInt
+    seed: NonNegativeInt
+    keep: NonNegativeInt
+    cells: Annotated[dict[CellKey, KeyOfCell], Field(min_length=1)]
+
+
+class AboutVariant(_Part):
+    """What is told of a variant. period: s."""
+
+    notes: list[Text]
+    fitted: list[Text]
+    title: Text
+    period: Annotated[float, Field(gt=0)]
+
+
+class AboutScenario(_Part):
+    """What is told of a scenario."""
+
+    title: Text
+    source: Text
+    kind: str
+    scored: str
+    shown: dict[str, tuple[str, float]]
+    quantities: list[str]
+    table: list[tuple[str, str]]
+    variants: dict[Label, AboutVariant]
+
+
+class AboutEstimator(_Part):
+    """What is told of an estimator."""
+
+    summary: Text
+    source: Text
+    claims: list[str]
+    oracle: bool
+
+
+class StoredCell(_Part):
+    """A cell as it can be computed again."""
+
+    where: str
+    table: dict[str, Any]
+    entries: dict[Label, EstimatorEntry]
+
+
+class Replay(_Part):
+    """The plan. plugins: the loose files it was made with, of which nothing is run unless it is named again."""
+
+    plugins: list[str]
+    cells: dict[CellKey, StoredCell]
+
+
+class Environment(_Part):
+    """Where the rows were begun."""
+
+    python: str
+    platform: str
+    processor: str
+    cores: int | None
+    packages: dict[str, str]
+    git_commit: str | None
+    git_dirty: bool | None
+
+
+class Manifest(_Part):
+    """manifest.json."""
+
+    schema_version: int
+    railstate: str
+    command: str
+    configuration: Configuration
+    scenarios: dict[Name, AboutScenario]
+    estimators: dict[str, AboutEstimator]
+    replay: Replay
+    environment: Environment
+    started: Moment
+    finished: Moment | None = None
+    rows: NonNegativeInt | None = None
+    statuses: dict[str, NonNegativeInt] = {}
+
+    @model_validator(mode="after")
+    def _whole(self) -> Manifest:
+        for key, cell in self.configuration.cells.items():
+            scenario, variant = key.split("/")
+            if scenario not in self.scenarios or variant not in self.scenarios[scenario].variants:
+                raise ValueError(f"scenarios: nothing is told of {key}")
+            if key not in self.replay.cells:
+                raise ValueError(f"replay.cells: {key} is missing")
+            for label, entry in cell.estimators.items():
+                if entry.plugin not in self.estimators:
+                    raise ValueError(f"estimators: nothing is told of {entry.plugin}")
+                if label not in self.replay.cells[key].entries:
+                    raise ValueError(f"replay.cells.{key}.entries: {label} is missing")
+        return self
+
+
+def stored_cell(manifest: Mapping[str, Any], key: str, labels: Mapping[str, Any] | None = None) -> Cell:
+    """A cell of a folder as it can be computed again, with the entries of some of its labels (None: all)."""
+    scenario, variant = key.split("/")
+    saved = manifest["replay"]["cells"][key]
+    wanted = manifest["configuration"]["cells"][key]["estimators"] if labels is None else labels
+    return Cell(scenario, variant, saved["where"], saved["table"],
+                {label: EstimatorEntry.model_validate(saved["entries"][label]) for label in wanted})
 
 
 def stored_plan(manifest: Mapping[str, Any]) -> Plan:
     """The plan a results folder was made from. Raises InputError."""
-    configuration, saved = manifest["configuration"], manifest["replay"]
-    cells = []
-    for key, item in saved["cells"].items():
-        scenario, variant = key.split("/")
-        cells.append(Cell(scenario, variant, item["where"], item["table"], {
-            label: EstimatorEntry.model_validate(entry) for label, entry in item["entries"].items()}))
-    return Plan(tuple(cells), configuration["runs"], configuration["seed"], configuration["keep"],
-                tuple(saved["plugins"]))
+    configuration = manifest["configuration"]
+    return Plan(tuple(stored_cell(manifest, key) for key in configuration["cells"]), configuration["runs"],
+                configuration["seed"], configuration["keep"], tuple(manifest["replay"]["plugins"]))
 
 
 def description(plan: Plan) -> dict[str, Any]:
@@ -52,49 +192,3 @@ def description(plan: Plan) -> dict[str, Any]:
                        "entries": {label: entry.model_dump() for label, entry in cell.entries.items()}}
             for cell in plan.cells}},
     }
-PACKAGES = ("numpy", "scipy", "numba", "filterpy", "cvxpy", "clarabel", "pandas", "pyarrow", "joblib", "pydantic")
-MANIFEST = {"railstate": str, "command": str, "configuration": dict, "scenarios": dict, "estimators": dict,
-            "replay": dict, "environment": dict, "started": str}
-"""What every manifest has."""
-
-
-def environment() -> dict[str, Any]:
-    """Versions, processor and git state of this installation."""
-    here = Path(__file__).resolve().parent
-
-    def git(*words: str) -> str | None:
-        try:
-            return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True,
-                                  timeout=10).stdout.strip()
-        except (OSError, subprocess.SubprocessError):
-            return None
-
-    status = git("status", "--porcelain", "--untracked-files=no")
-    return {"python": sys.version.split()[0], "platform": platform.platform(terse=True), "processor": _processor(),
-            "cores": os.cpu_count(), "packages": {name: version(name) for name in PACKAGES},
-            "git_commit": git("rev-parse", "HEAD"), "git_dirty": None if status is None else bool(status)}
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
-
-
-def differing(there: Any, now: Any, path: str = "") -> list[str]:
-    if isinstance(there, dict) and isinstance(now, dict):
-        lines: list[str] = []
-        for key in {**there, **now}:
-            inner = f"{path}.{key}" if path else key
-            if key not in there:
-                lines.append(f"{inner}: absent -> given")
-            elif key not in now:
-                lines.append(f"{inner}: given -> absent")
-            else:
-                lines += differing(there[key], now[key], inner)
-        return lines
-    return [] if there == now else [f"{path}: {reprlib.repr(there)} -> {reprlib.repr(now)}"]

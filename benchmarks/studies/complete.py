@@ -5,17 +5,24 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import warnings
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
+from ...scenarios.errors import InputError
+from ...scenarios.source import source_hash
 from ..judging.summary import summarise
 from ..planning.plan import Plan, own
 from ..planning.tasks import task_name
 from ..running.latency import timing_table
 from ..running.runner import Machinery, run
+from ..scoring.columns import TIMING
 from ..store.folder import Store
-from ..store.manifest import description
+from ..store.growth import OVERWRITTEN, Growth, grown
+from ..store.provenance import other_versions
 from ..telling.console import progress
 from ..telling.markup import to_latex, to_markdown
 from ..telling.sayings import short_verdicts
@@ -33,31 +40,94 @@ def default_folder(plan: Plan) -> Path:
     return Path("results") / f"run-{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
 
-def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, timing: bool = True) -> Store:
+def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, timing: bool = True,
+             retry: Collection[str] = (), overwrite: bool = False) -> Store:
     """Compute what is missing in `folder` and write the files that are made from the rows. Raises InputError,
-    Interrupted."""
+    Interrupted.
+
+    retry: statuses whose rows are computed anew. overwrite: what is there of the plan is. A folder that cannot be
+    written is read, if it holds all that is asked for."""
     store = Store(folder)
+    if not store.writable:
+        return _as_it_is(store, plan)
     try:
-        store.open(plan.configuration(), description(plan), command)
-        total = sum(len(cell.entries) for cell in plan.cells) * plan.runs
-        done = store.done()
-        with (progress(total - sum(len(runs) for runs in done.values()), "rows") as advance,
-              contextlib.closing(run(plan, done, machinery)) as results):
-            for found in results:
-                task = found.task
-                store.write_part(task_name(task), rows=found.rows, curves=found.curves, trajectories=found.kept)
-                advance(len(task.runs) * len(task.labels), task.cell.key)
-        rows = store.rows()
-        if timing and not (folder / "timing.csv").exists():
-            if not all(own(cell, label) for cell in plan.cells for label in cell.entries):
-                write_tables(store, rows)  # first: a plug-in may take its time
-            store.write_text("timing.csv", timing_table(plan, rows, machinery.timeout).to_csv(index=False))
-        write_tables(store, rows)
-        store.finish(rows=len(rows), statuses=rows["status"].value_counts().to_dict())
+        with store.writing(command):
+            _fill(store, grown(store, plan, overwrite), machinery, command, timing, retry)
     except KeyboardInterrupt:
         have = sum(len(runs) for runs in store.done().values())
         raise Interrupted(f"interrupted: {have} rows are in {folder}; the same command continues "
                           f"(add --out {folder})") from None
+    return store
+
+
+def _fill(store: Store, growth: Growth, machinery: Machinery, command: str, timing: bool, retry: Collection[str]
+          ) -> None:
+    plan = growth.plan
+    before = store.manifest() if store.exists else None
+    if before:
+        _drop(store, growth, retry)
+        if all((key, label) in growth.stale and growth.stale[key, label] == OVERWRITTEN
+               for key, cell in before["configuration"]["cells"].items() for label in cell["estimators"]):
+            before = None
+    wanted = {(cell.key, label): max(plan.runs, cell.runs) for cell in plan.cells for label in cell.entries}
+    done = store.done() if before else {}
+    left = sum(wanted.values()) - sum(len(runs) for key, runs in done.items() if key in wanted)
+    if before and done and left:
+        for changed in other_versions(before["environment"]):
+            warnings.warn(f"{store.folder}: was begun with another version: {changed}; the last bits of its rows may "
+                          "differ from the new ones", stacklevel=2)
+    if not before or left or before["configuration"] != json.loads(json.dumps(growth.configuration)):
+        store.open(growth.configuration, growth.description, command, afresh=not before)
+    touched: set[tuple[str, str]] = set()
+    with progress(left, "rows") as advance, contextlib.closing(run(plan, done, machinery)) as results:
+        for found in results:
+            task = found.task
+            store.write_part(task_name(task), rows=found.rows, curves=found.curves, trajectories=found.kept)
+            touched.update((task.cell.key, label) for label in task.labels)
+            advance(len(task.runs) * len(task.labels), task.cell.key)
+    rows = store.rows()
+    measured = store.timing()
+    known = set() if measured is None else {(f"{scenario}/{variant}", label) for scenario, variant, label in
+                                            zip(*(measured[name] for name in TIMING[:3]), strict=True)}
+    untimed = [pair for pair in wanted if timing and (pair in touched or pair not in known)]
+    makers = source_hash(__name__)
+    if not left and not untimed and before and before["finished"] and before.get("tables") == makers:
+        return  # all is as it was
+    if untimed:
+        some = [replace(cell, entries=entries) for cell in plan.cells if (entries := {
+            label: entry for label, entry in cell.entries.items() if (cell.key, label) in untimed})]
+        if not all(own(cell, label) for cell in some for label in cell.entries):
+            write_tables(store, rows)  # first: a plug-in may take its time
+        new = timing_table(replace(plan, cells=tuple(some)), rows, machinery.timeout)
+        store.write_timing(new)
+    write_tables(store, rows)
+    store.finish(rows=len(rows), statuses=rows["status"].value_counts().to_dict(), tables=makers)
+
+
+def _drop(store: Store, growth: Growth, retry: Collection[str]) -> None:
+    """Take out what is to be computed anew, and say so."""
+    gone: dict[tuple[str, str], Collection[int] | None] = dict.fromkeys(growth.stale)
+    asked = {(cell.key, label) for cell in growth.plan.cells for label in cell.entries}
+    if retry:
+        gone = {**{pair: runs for pair, runs in store.lost(retry).items() if pair in asked}, **gone}
+    for reason in dict.fromkeys(growth.stale.values()):
+        pairs = ["/".join(pair) for pair, why in growth.stale.items() if why == reason]
+        if reason != OVERWRITTEN:
+            warnings.warn(f"{store.folder}: {reason}, computed anew: {', '.join(pairs[:5])}"
+                          + (f" and {len(pairs) - 5} more" if len(pairs) > 5 else ""), stacklevel=2)
+    store.drop(gone)
+
+
+def _as_it_is(store: Store, plan: Plan) -> Store:
+    """A folder that cannot be written. Raises InputError where it does not hold all of the plan."""
+    if not store.exists:
+        raise InputError(f"{store.folder}: cannot be written; choose another --out")
+    growth, done = grown(store, plan), store.done()
+    missing = sum(max(growth.plan.runs, cell.runs) - len(done.get((cell.key, label), ()))
+                  for cell in growth.plan.cells for label in cell.entries)
+    if missing or growth.stale:
+        raise InputError(f"{store.folder}: cannot be written, and not all rows are in it that are asked for; choose "
+                         "another --out")
     return store
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from ....scenarios.arrays import Array
-from ....scenarios.registry import setting_for
+from ....scenarios.registry import setting_of
 from ....scenarios.setting import Setting
 from ...judging.verdicts import Column, Judged, by_run, judge, judged_columns, oracle_labels
 from ...scoring.columns import shown_unit
@@ -78,8 +78,7 @@ class CellResults:
     @cached_property
     def setting(self) -> Setting[Any]:
         """The variant's setting, made anew from the manifest. Raises InputError where its plug-in is not installed."""
-        kind = setting_for(self.kind, self.key)
-        return kind(kind.Config.model_validate(dict(self.table)))
+        return setting_of(self.table, self.key)
 
     @cached_property
     def judged(self) -> list[Column]:

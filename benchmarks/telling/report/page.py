@@ -13,9 +13,10 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
+from ....scenarios.errors import InputError
 from ...judging import statistics as st
 from ...judging.contests import robust_contests
-from ...store.folder import Store
+from ...store.folder import write_whole
 from ..figures.axes import Style, draw_marker
 from ..figures.canvas import DARK, LIGHT, Canvas
 from ..figures.catalogue import FIGURES, Figure, of_scenario
@@ -62,11 +63,17 @@ class Section:
     missing: str
 
 
-def write_report(folder: str | Path) -> Path:
-    """Write `folder`/report.html and return its path. Raises InputError where the folder holds no results."""
-    results = load_results(folder)
-    Store(folder).write_text("report.html", render(results))
-    return Path(folder) / "report.html"
+def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
+    """Write `out` (None: report.html in the folder) and return its path. Raises InputError where the folder holds no
+    results or the page cannot be written."""
+    path = Path(out) if out else Path(folder) / "report.html"
+    page = render(load_results(folder))
+    try:
+        write_whole(path, page)
+    except OSError as error:
+        hint = "" if out else "; --out FILE.html writes it elsewhere"
+        raise InputError(f"{path}: cannot be written: {error.strerror}{hint}") from None
+    return path
 
 
 def render(results: Results) -> str:

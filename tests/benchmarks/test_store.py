@@ -1,0 +1,473 @@
+"""Results folders: one writer, growth, rows' keys, provenance, what is read from strangers."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from railstate.benchmarks.store import folder as folder_module
+from railstate.benchmarks.store import provenance
+from railstate.benchmarks.store.folder import Store, inside
+from railstate.benchmarks.store.lock import LOCK, locked
+from railstate.estimators import registry
+from railstate.estimators.registry import load_file
+from railstate.scenarios.errors import InputError
+from railstate.scenarios.source import modules_of, source_hash
+
+from ..conftest import PLUGIN, Command
+from ..synthetic_results import write_results
+from .test_run import rows, same
+
+CART = ("run", "cart.toml", "--jobs", 1)
+PROGRAM = (sys.executable, "-c", "from railstate.benchmarks.cli import main; main()")
+
+
+def parts(folder: str) -> dict[str, float]:
+    """When each part of rows was written."""
+    return {path.name: path.stat().st_mtime_ns for path in Path(folder, "rows").glob("*.parquet")}
+
+
+def test_a_folder_grows_by_runs_estimators_and_variants(railstate: Command) -> None:
+    steps = [("cart.toml/calm", "kalman", 5), ("cart.toml/calm", "kalman", 10), ("cart.toml/calm", "ekf", 3),
+             ("cart.toml/rough", "kalman", 4)]
+    seen: dict[str, float] = {}
+    for name, label, runs in steps:
+        done = railstate("run", name, "-e", label, "--runs", runs, "--jobs", 1, "--out", "grown")
+        assert done.code == 0 and not done.err, done.err
+        assert seen.items() <= parts("grown").items() and len(parts("grown")) == len(seen) + 1  # only what is missing
+        seen = parts("grown")
+    frame = rows("grown")
+    assert frame.groupby(["variant", "estimator"]).size().to_dict() == {
+        ("calm", "kalman"): 10, ("calm", "ekf"): 10, ("rough", "kalman"): 4}
+    railstate("run", "cart.toml", "-e", "kalman,ekf", "--runs", 10, "--jobs", 1, "--out", "fresh")
+    fresh = rows("fresh")
+    asked = fresh[(fresh["variant"] == "calm") | ((fresh["estimator"] == "kalman") & (fresh["run"] < 4))]
+    same(frame, asked.reset_index(drop=True))
+    manifest = json.loads(Path("grown/manifest.json").read_text())
+    assert manifest["finished"] and manifest["rows"] == 24 and manifest["configuration"]["runs"] == 10
+    assert len(manifest["command"].split(" && ")) == 4
+    timing = pd.read_csv("grown/timing.csv")
+    assert len(timing) == 3 and set(pd.read_csv("grown/summary.csv")["runs"]) == {4, 10}
+    assert Path("grown/tables/cart~calm.md").is_file() and Path("grown/tables/cart~rough.md").is_file()
+    kept, clean = Store("grown").trajectories(), Store("fresh").trajectories()
+    assert kept is not None and clean is not None and not kept.duplicated(
+        ["scenario", "variant", "estimator", "run", "name", "step"]).any()
+    curve, clean_curve = (Store(name).curves().query("variant == 'calm'").sort_values(
+        ["estimator", "quantity", "step"]).reset_index(drop=True) for name in ("grown", "fresh"))
+    pd.testing.assert_frame_equal(curve, clean_curve, check_categorical=False, rtol=1e-12)
+
+
+def test_nothing_is_done_where_nothing_is_missing(railstate: Command) -> None:
+    words = (*CART, "-e", "kalman", "--runs", 3, "--out", "out")
+    first = railstate(*words)
+    before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*") if path.is_file() and path.name != LOCK}
+    again = railstate(*words)
+    assert again.code == 0 and again.out == first.out
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+    written = parts("out")
+    Path("out/timing.csv").unlink()
+    railstate(*words)
+    assert Path("out/timing.csv").is_file() and parts("out") == written
+
+
+def test_only_what_changed_is_computed_anew(railstate: Command) -> None:
+    plain = Path("half.py").read_text().split("\n\nclass ")
+    plain = "\n\nclass ".join(plain[:2]) + "\n"
+    Path("other.py").write_text(plain)
+    words = ("run", "cart.toml/calm", "--jobs", 1, "--runs", 4, "--out", "out", "--plugin", "other.py", "-e",
+             "other,kalman")
+    assert railstate(*words).code == 0
+    before, timed = parts("out"), Path("out/timing.csv").read_text()
+    Path("other.py").write_text(plain.replace("fixed-gain filter", "filter") + "\n# a comment\n")
+    assert not railstate(*words).err and parts("out") == before and Path("out/timing.csv").read_text() == timed
+    Path("other.py").write_text(plain + "\nCHANGED = True\n")
+    done = railstate(*words)
+    assert done.code == 0 and "its code changed, computed anew: cart/calm/other" in done.err
+    assert len(parts("out")) == 2 and len(rows("out")) == 8
+    now = Path("out/timing.csv").read_text()
+    assert [line in now for line in timed.splitlines() if "kalman" in line] == [True]
+    assert [line in now for line in timed.splitlines() if "other" in line] == [False]
+    del registry._loose["other"]  # as in a process that was not given the file
+    refused = railstate("run", "cart.toml/calm", "--jobs", 1, "--runs", 9, "--out", "out", "-e", "kalman")
+    assert refused.code == 2 and "cart/calm/other has to be computed along" in refused.err
+    assert "--plugin" in refused.err and len(rows("out")) == 8
+
+
+def test_overwrite_replaces_and_retry_computes_lost_rows(railstate: Command) -> None:
+    words = ("run", "cart.toml/calm", "--plugin", "half.py", "-e", "raises,half", "--runs", 5, "--jobs", 1, "--out",
+             "out")
+    assert railstate(*words).code == 0
+    before = rows("out")
+    assert before["status"].tolist().count("failed") == 1
+    done = railstate(*words, "--retry", "failed,crashed")
+    assert done.code == 0, done.err
+    same(before.drop(columns="exception"), rows("out").drop(columns="exception"))  # how deep a block was halved
+    curves = Store("out").curves().query("quantity == 'position'").groupby("estimator", observed=True)["active"].max()
+    assert curves.to_dict() == {"raises": 4, "half": 5}
+    refused = railstate(*words, "--retry", "ok")
+    assert refused.code == 2 and "allowed: diverged" in refused.err
+    replaced = railstate("run", "cart.toml/rough", "-e", "kalman", "--runs", 2, "--seed", 9, "--jobs", 1, "--out",
+                         "out", "--overwrite")
+    assert replaced.code == 0, replaced.err
+    assert rows("out").groupby(["variant", "estimator"]).size().to_dict() == {("rough", "kalman"): 2}
+    assert [path.name for path in Path("out/tables").glob("*.md")] == ["cart~rough.md"]
+    assert json.loads(Path("out/manifest.json").read_text())["configuration"]["seed"] == 9
+
+
+def test_a_second_process_is_refused_with_who_holds_the_folder(railstate: Command) -> None:
+    Path("out").mkdir()
+    with locked(Path("out"), "railstate run something"):
+        held = subprocess.run([*PROGRAM, *map(str, CART), "-e", "kalman", "--runs", "2", "--out", "out"],
+                              capture_output=True, text=True, check=False)
+        assert held.returncode == 2 and "Traceback" not in held.stderr
+        assert f"is being written by process {os.getpid()} on " in held.stderr
+        assert "railstate run something" in held.stderr
+        refused = railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+        assert refused.code == 2 and "this very process" in refused.err
+    assert railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out").code == 0
+
+
+def test_a_dead_process_keeps_no_lock(railstate: Command) -> None:
+    Path("out").mkdir()
+    code = ("import os, signal\nfrom pathlib import Path\nfrom railstate.benchmarks.store.lock import locked\n"
+            "with locked(Path('out'), 'x'):\n    os.kill(os.getpid(), signal.SIGKILL)")
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out").code == 0
+
+
+@pytest.mark.parametrize("trials", [2, pytest.param(20, marks=pytest.mark.long)])
+def test_two_processes_on_one_folder(railstate: Command, trials: int) -> None:
+    railstate("run", "cart.toml", "-e", "kalman,ekf", "--runs", 12, "--jobs", 1, "--out", "right")
+    for trial in range(trials):
+        words = ("run", "cart.toml", "-e", "kalman,ekf", "--runs", "12", "--jobs", "1", "--out", f"out{trial}")
+        both = [subprocess.Popen([*PROGRAM, *words, "--batch", batch], stderr=subprocess.PIPE, text=True,
+                                 stdout=subprocess.DEVNULL) for batch in ("3", "5")]
+        ended = [(process.communicate(timeout=300)[1], process.returncode) for process in both]
+        assert {code for _, code in ended} <= {0, 2} and 0 in {code for _, code in ended}
+        assert all("is being written by" in err for err, code in ended if code)
+        same(rows("right"), rows(f"out{trial}"))
+
+
+@pytest.mark.parametrize("points", [3, pytest.param(100, marks=pytest.mark.long)])
+def test_killed_anywhere_and_resumed_rows_are_the_same(railstate: Command, points: int) -> None:
+    words = ("run", "cart.toml", "-e", "kalman,ekf", "--runs", "30", "--jobs", "1", "--batch", "2")
+    railstate(*words, "--out", "whole")
+    rng = random.Random(3)
+    for point in range(points):
+        process = subprocess.Popen([*PROGRAM, *words, "--out", f"out{point}"], stdout=subprocess.DEVNULL,
+                                   stderr=subprocess.DEVNULL)
+        begun = time.monotonic()
+        while process.poll() is None and not Path(f"out{point}/manifest.json").exists():
+            assert time.monotonic() < begun + 120
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 1.0))
+        process.kill()
+        process.wait()
+        again = railstate(*words, "--out", f"out{point}")
+        assert again.code == 0, again.err
+        same(rows("whole"), rows(f"out{point}"))
+        assert json.loads(Path(f"out{point}/manifest.json").read_text())["finished"]
+        assert sorted(path.name for path in Path(f"out{point}").iterdir()) == sorted(
+            path.name for path in Path("whole").iterdir())
+
+
+def test_compare_finds_no_difference_over_batches_and_jobs(railstate: Command) -> None:
+    words = ("run", "cart.toml", "-e", "kalman,ekf", "--runs", 20)
+    railstate(*words, "--jobs", 1, "--batch", 1, "--out", "first")
+    for batch, jobs in ((7, 1), (1000, 1), (7, 2)):
+        railstate(*words, "--jobs", jobs, "--batch", batch, "--out", f"out{batch}-{jobs}")
+        found = railstate("compare", "first", f"out{batch}-{jobs}", "--fail-on", "different")
+        assert found.code == 0 and "80 of 80 common rows bit-identical" in found.out
+        same(rows("first"), rows(f"out{batch}-{jobs}"))
+
+
+def test_rows_that_stand_twice_are_refused(railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman", "--runs", 4, "--out", "out")
+    part = next(Path("out/rows").glob("*.parquet"))
+    part.with_name("again.parquet").write_bytes(part.read_bytes())
+    for words in (("report", "out"), (*CART, "-e", "kalman", "--runs", 4, "--out", "out")):
+        refused = railstate(*words)
+        assert refused.code == 2 and "rows more than once" in refused.err and "again.parquet" in refused.err
+    part.with_name("again.parquet").unlink()
+    assert railstate("report", "out").code == 0
+
+
+def test_a_part_rewritten_by_pandas_is_read(railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman", "--runs", 4, "--out", "out")
+    before = rows("out")
+    for path in Path("out").rglob("*.parquet"):
+        frame = pq.read_table(path).to_pandas()
+        frame.astype({name: "large_string[pyarrow]" for name in frame if name in ("scenario", "estimator")}
+                     ).to_parquet(path)
+    same(before, rows("out"))
+    assert railstate("report", "out").code == 0
+
+
+def test_names_from_a_folder_lead_nowhere(tmp_path: Path, railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+    text = Path("out/manifest.json").read_text()
+    Path("out/manifest.json").write_text(text.replace("calm", "v/../../../X"))
+    for path in Path("out").rglob("*.parquet"):
+        frame = pd.read_parquet(path).replace({"variant": {"calm": "v/../../../X"}})
+        frame.to_parquet(path, index=False)
+    for command in ("plot", "report"):
+        refused = railstate(command, "out")
+        assert refused.code == 2 and "manifest.json: damaged" in refused.err
+    for name in ("../x", "a/../../x", "/x", "", ".x", "x\n", "a//b"):
+        with pytest.raises(InputError, match="no name of a file"):
+            inside(tmp_path, name)
+
+
+def test_a_folder_that_cannot_be_written_is_read(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = (*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+    first = railstate(*words)
+    monkeypatch.setattr(Store, "writable", False)
+    again = railstate(*words)
+    assert again.code == 0 and again.out == first.out
+    refused = railstate(*CART, "-e", "kalman", "--runs", 3, "--out", "out")
+    assert refused.code == 2 and "cannot be written" in refused.err
+    assert railstate("report", "out", "--out", "page.html").code == 0 and Path("page.html").stat().st_size > 10_000
+    assert not Path("out/report.html").exists()
+
+
+def test_older_and_newer_folders_are_refused(railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+    path = Path("out/manifest.json")
+    content = json.loads(path.read_text())
+    for version in (None, 1, 99):
+        path.write_text(json.dumps({key: version if key == "schema_version" else value for key, value in content.items()
+                                    if version or key != "schema_version"}))
+        for words in (("report", "out"), (*CART, "-e", "kalman", "--runs", 2, "--out", "out")):
+            refused = railstate(*words)
+            assert refused.code == 2 and "was written by railstate" in refused.err and refused.err.count("\n") == 1
+
+
+def test_other_versions_are_warned_of(railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+    path = Path("out/manifest.json")
+    content = json.loads(path.read_text())
+    content["environment"]["packages"]["numba"] = "0.1"
+    path.write_text(json.dumps(content))
+    assert not railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out").err
+    done = railstate(*CART, "-e", "kalman", "--runs", 3, "--out", "out")
+    assert done.code == 0 and "begun with another version: numba 0.1 ->" in done.err
+
+
+def test_the_commit_is_never_that_of_a_repository_around(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=x", "-c", "user.email=x@y", *words], cwd=tmp_path, check=True,
+                       capture_output=True)
+
+    git("init")
+    inner = tmp_path / "site" / "railstate"
+    inner.mkdir(parents=True)
+    (inner / "provenance.py").write_text("")
+    git("add", ".")
+    git("commit", "-m", "x")
+    monkeypatch.setattr(provenance, "ROOT", inner)
+    monkeypatch.setattr(provenance, "__file__", str(inner / "provenance.py"))
+    assert provenance.environment()["git_commit"] is None
+    monkeypatch.setenv("GIT_DIR", str(tmp_path / ".git"))
+    assert provenance.environment()["git_commit"] is None
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    assert len(provenance.environment()["git_commit"]) == 40 and provenance.environment()["git_dirty"] is False
+
+
+def test_hashes_follow_imports_and_meaning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "strange_filters"
+    (package / "inner").mkdir(parents=True)
+    files = {"__init__.py": "", "one.py": '"""Doc."""\nfrom . import helper\nX = 1\n', "table.csv": "1,2\n",
+             "helper.py": "def f():\n    return 2\n", "inner/__init__.py": "", "inner/far.py": "Y = 1\n"}
+    for name, text in files.items():
+        (package / name).write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import strange_filters.one  # noqa: F401  # pyright: ignore
+
+    before = source_hash("strange_filters.one")
+
+    def after(name: str, text: str) -> str:
+        (package / name).write_text(text)
+        found = source_hash("strange_filters.one")
+        (package / name).write_text(files[name])
+        return found
+
+    assert after("one.py", '"""Other words."""\n\nfrom . import helper  # why\nX = (1)\n') == before
+    for name, text in (("one.py", "from . import helper\nX = 2\n"), ("helper.py", "def f():\n    return 3\n"),
+                       ("inner/far.py", "Y = 2\n"), ("table.csv", "1,3\n")):
+        assert after(name, text) != before, name
+    assert source_hash("strange_filters.one") == before
+
+
+def test_a_loose_file_and_the_helper_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gains.py").write_text("GAIN = 0.5\n")
+    (tmp_path / "loose.py").write_text(
+        "import sys\nfrom pathlib import Path\nsys.path.insert(0, str(Path(__file__).parent))\nfrom gains import GAIN\n"
+        + PLUGIN.partition("class Half")[0] + "class Half" + PLUGIN.partition("class Half")[2].partition("\nclass ")[0])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    name = next(iter(load_file(str(tmp_path / "loose.py")).values())).__module__
+    assert {"gains", "loose.py", "railstate.estimators.interface"} <= set(modules_of(name))
+    before = source_hash(name)
+    (tmp_path / "gains.py").write_text("GAIN = 0.25\n")
+    assert source_hash(name) != before
+
+
+def test_an_edit_in_one_family_leaves_the_others(tmp_path: Path) -> None:
+    robust, kalman = (set(modules_of(f"railstate.estimators.{name}")) for name in ("robust.estimators", "kalman"))
+    assert "railstate.estimators.robust.convex" in robust - kalman and "railstate.estimators.interface" in kalman
+    metro = set(modules_of("railstate.scenarios.metro.setting"))
+    assert "railstate.scenarios.railway.trip" in metro and not any("braking" in name for name in metro)
+    rows_are_made_by = set(modules_of("railstate.benchmarks.running.execute"))
+    assert {"railstate.benchmarks.scoring.scorer", "railstate.benchmarks.running.drive"} <= rows_are_made_by
+    assert not any(word in name for name in rows_are_made_by for word in ("store", "judging", "telling", "kalman_"))
+    assert "railstate.scenarios.coupled_cars/zou2018_gain.csv" in modules_of("railstate.scenarios.coupled_cars.setting")
+
+
+# -- damage ---------------------------------------------------------------------------------------------------------
+
+Mutation = Callable[[random.Random, Path], None]
+
+
+def _anywhere(rng: random.Random, found: Any) -> tuple[Any, Any]:
+    """A container of nested data and one of its keys."""
+    spots = [(found, key) for key in found] if isinstance(found, dict) else [(found, n) for n in range(len(found))]
+    spots += [spot for _, value in (found.items() if isinstance(found, dict) else enumerate(found))
+              if isinstance(value, dict | list) and value for spot in [_anywhere(rng, value)]]
+    return rng.choice(spots)
+
+
+ODD = (None, -1, 10**30, 0.5, "", "x\n\x1b[31m", "../../X", [], {}, [[]], {"a": 1}, True, "<script>", "=cmd()",
+       "\ud800", float("nan"), float("inf"), "2020-01-01", [1] * 50, "v/../../../X", "é" * 300)
+
+
+def _manifest(rng: random.Random, out: Path) -> None:
+    path = out / "manifest.json"
+    content = json.loads(path.read_text())
+    for _ in range(rng.randint(1, 2)):
+        where, key = _anywhere(rng, content)
+        action = rng.randrange(4)
+        if action == 0:
+            del where[key]
+        elif action == 1 and isinstance(where, dict):
+            where[rng.choice(["odd", "../x", "a/b", ""])] = where.pop(key)
+        else:
+            where[key] = rng.choice(ODD)
+        if not content:
+            break
+    path.write_text(json.dumps(content))
+
+
+def _nested(rng: random.Random, out: Path) -> None:
+    depth = rng.choice([50, 3000, 100_000])
+    text = (out / "manifest.json").read_text()
+    deep = rng.choice(["[" * depth, "[" * depth + "]" * depth, '{"a":' * depth + "1" + "}" * depth])
+    (out / "manifest.json").write_text(rng.choice([deep, text.replace('"notes": []', f'"notes": {deep}', 1),
+                                                   text.replace('"parameters": {}', f'"parameters": {deep}', 1)]))
+
+
+def _bytes(rng: random.Random, out: Path) -> None:
+    path = rng.choice(sorted(path for path in out.rglob("*") if path.is_file() and path.stat().st_size))
+    data = bytearray(path.read_bytes())
+    action = rng.randrange(4)
+    if action == 0:
+        data = data[:rng.randrange(len(data))]
+    elif action == 1:
+        data = bytearray(rng.randbytes(len(data)))
+    else:
+        for _ in range(rng.choice([1, 8, 64])):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+    path.write_bytes(bytes(data))
+
+
+def _part(rng: random.Random, out: Path) -> None:
+    path = rng.choice(sorted(out.rglob("*.parquet")))
+    frame = pd.read_parquet(path)
+    column = rng.choice(list(frame.columns))
+    action = rng.randrange(6)
+    if action == 0:
+        frame = frame.drop(columns=column)
+    elif action == 1:
+        frame = frame.rename(columns={column: rng.choice(["odd", "rmse:x:m", "a:b:c", column.upper()])})
+    elif action == 2:
+        odd: Any = rng.choice([None, "odd", 3.5, -7, "../../X", [1, 2], {"a": 1}, True, "ok", float("inf")])
+        frame[column] = [odd] * len(frame)
+    elif action == 3:
+        frame = pd.concat([frame, frame.head(rng.randint(1, 3))])
+    elif action == 4:
+        frame = frame.astype({name: "large_string[pyarrow]" for name in frame
+                              if pd.api.types.is_string_dtype(frame[name])})
+    else:
+        frame = frame.head(0) if rng.random() < 0.3 else frame.sample(frac=0.6, random_state=rng.randrange(1000))
+    frame.to_parquet(path, index=rng.random() < 0.5)
+
+
+def _files(rng: random.Random, out: Path) -> None:
+    path = rng.choice(sorted(path for path in out.rglob("*") if path.name != LOCK))
+    if path.is_dir():
+        for inner in path.iterdir():
+            inner.unlink()
+        path.rmdir()
+        if rng.random() < 0.5:
+            path.write_text("a file now")
+    else:
+        path.unlink()
+        if rng.random() < 0.5:
+            path.mkdir()
+
+
+MUTATIONS: tuple[Mutation, ...] = (_manifest, _manifest, _nested, _bytes, _bytes, _part, _part, _files)
+
+
+@pytest.mark.parametrize("number", [30, pytest.param(500, marks=pytest.mark.long)])
+def test_damaged_folders_end_in_one_message_or_are_right(railstate: Command, tmp_path: Path, number: int) -> None:
+    import shutil
+
+    railstate(*CART, "-e", "kalman,ekf", "--runs", 3, "--out", "sound")
+    sound = tmp_path / "sound"
+    right = rows(sound)
+    refused = 0
+    for seed in range(number):
+        rng = random.Random(seed)
+        out = tmp_path / "out"
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(sound, out)
+        rng.choice(MUTATIONS)(rng, out)
+        before = sorted(path for path in tmp_path.iterdir())
+        words = rng.choice([("report", "out"), ("plot", "out", "--figure", "error-over-time", "--format", "svg"),
+                            ("compare", "sound", "out"), ("replay", "cart/calm/kalman/1", "--out", "out"),
+                            (*CART, "-e", "kalman,ekf", "--runs", 3, "--out", "out")])
+        done = railstate(*words)
+        told = f"seed {seed}: {words[0]} {done.code}\n{done.err[:3000]}"
+        assert done.code in (0, 2), told
+        assert "Traceback" not in done.err and "\x1b" not in done.err, told
+        if done.code == 2:
+            refused += 1
+            assert done.err.startswith("error: ") and len(done.err) < 3000, told
+        elif words[0] == "run":
+            mine = rows(out)
+            common = [name for name in right.columns if name in mine.columns]
+            assert len(mine) >= len(right), told
+            assert set(common) >= {"scenario", "variant", "estimator", "run", "status"}, told
+        assert sorted(path for path in tmp_path.iterdir()) == before, told  # nothing outside the folder
+    assert 0.3 * number < refused < number
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    store = Store(write_results(tmp_path / "synthetic"))
+    frame = store.rows()
+    assert len(frame) == 24 * (3 * 6 + 2 * 4 + 13)
+    order = frame.drop_duplicates(["scenario", "variant", "estimator"])["estimator"].tolist()
+    assert order[:6] == ["ekf", "ekf-naive", "ekf-inflated", "ukf", "robust-mean-square", "robust-ellipsoid"]
+    assert np.array_equal(frame["run"].to_numpy()[:24], np.arange(24))
+    assert json.loads((tmp_path / "synthetic" / "manifest.json").read_text())["schema_version"] == folder_module.SCHEMA
