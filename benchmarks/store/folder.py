@@ -23,7 +23,7 @@ from ...scenarios.errors import InputError, describe
 from ..scoring.columns import IDENTITY, TIMING
 from .lock import LOCK, locked
 from .manifest import SCHEMA, Manifest
-from .parts import CURVES, SUMS, labels_in, part_paths, read_curves, read_part, read_rows, read_trajectories, without
+from .parts import codes, labels_in, part_paths, read_curves, read_part, read_rows, read_trajectories, without
 from .provenance import environment
 
 if TYPE_CHECKING:
@@ -191,19 +191,14 @@ class Store:
         for cell, value in self.manifest()["configuration"]["cells"].items():
             for label in value["estimators"]:
                 places[f"{cell}/{label}"] = len(places)
-        place = [places["/".join(names)] for names in zip(
-            *(table[name].to_pylist() for name in IDENTITY[:3]), strict=True)]
+        code, names = codes(table, IDENTITY[:3])
+        place = np.array([places["/".join(name)] for name in names], dtype=int)[code]
         table = table.take(pa.array(np.lexsort((table["run"].to_numpy(), place))))
         return table.to_pandas(split_blocks=True, self_destruct=True)
 
     def curves(self) -> pd.DataFrame:
         """Sums over all runs per scenario, variant, estimator, quantity and step (empty if there are none)."""
-        import pandas as pd
-
-        table = read_curves(self.folder)
-        if table is None:
-            return pd.DataFrame(columns=[*CURVES, *SUMS])
-        return table.to_pandas(strings_to_categorical=True)
+        return read_curves(self.folder)
 
     def trajectories(self) -> pd.DataFrame | None:
         """The kept trajectories (`--keep N`), or None."""

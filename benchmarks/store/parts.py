@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,6 +18,9 @@ from ...estimators.interface import Status
 from ...scenarios.errors import InputError
 from ..scoring.columns import IDENTITY
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 CURVES = ("scenario", "variant", "estimator", "quantity", "step", "time")
 SUMS = ("active", "squared", "fourth", "error")
 TRAJECTORIES = (*IDENTITY, "step", "time", "name", "truth", "estimate", "sd")
@@ -26,7 +29,6 @@ NEEDED = {"rows": (*IDENTITY, "status", "reason", "exception", "seconds"), "curv
 """Columns that every part of a kind has."""
 _WORDS = ("scenario", "variant", "estimator", "status", "reason", "exception", "quantity", "name")
 _COUNTS = ("run", "step", "steps", "nees_states")
-_ENOUGH = 400_000  # lines of curves that are held before they are summed
 
 
 def part_paths(folder: Path, kind: str) -> list[Path]:
@@ -38,7 +40,8 @@ def part_paths(folder: Path, kind: str) -> list[Path]:
 def read_part(path: Path, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
     """A part with its columns in their types, whoever wrote it. Raises InputError where it is damaged."""
     try:
-        found = pq.ParquetFile(path).read(None if columns is None else list(columns))
+        coded = [] if kind == "rows" else [name for name in pq.read_schema(path).names if name in _WORDS]
+        found = pq.ParquetFile(path, read_dictionary=coded).read(None if columns is None else list(columns))
         missing = [name for name in columns or NEEDED[kind] if name not in found.column_names]
         if missing:
             raise ValueError(f"no column {missing[0]}")
@@ -68,6 +71,8 @@ def _typed(name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
         raise ValueError(f"{name}: holds {column.type}, not {wanted}")
     if (name in _WORDS or name in ("run", "step")) and column.null_count:
         raise ValueError(f"{name}: lacks values")
+    if pa.types.is_dictionary(column.type) and column.type.value_type == pa.string():
+        return column.unify_dictionaries()
     return column if column.type == wanted else column.cast(wanted)
 
 
@@ -121,21 +126,75 @@ def _known(path: Path, table: pa.Table, cells: Mapping[str, Any]) -> None:
                              f"{', '.join(status.name for status in Status)}); remove it and run again")
 
 
-def read_curves(folder: Path) -> pa.Table | None:
-    """Sums over all runs per scenario, variant, estimator, quantity and step: a few parts are held at a time."""
-    held: list[pa.Table] = []
+def read_curves(folder: Path) -> pd.DataFrame:
+    """Sums over all runs per scenario, variant, estimator, quantity and step, columns `CURVES` and `SUMS`: one part is
+    held at a time."""
+    import pandas as pd
+
+    sums: dict[tuple[str, ...], np.ndarray] = {}
     for path in part_paths(folder, "curves"):
-        table = read_part(path, "curves").select([*CURVES, *SUMS])
-        held.append(_counting(table, folder / "rows" / path.name))
-        if sum(part.num_rows for part in held) > _ENOUGH + held[0].num_rows:
-            held = [_summed(held)]
-    return _summed(held) if held else None
+        table = _counting(read_part(path, "curves"), folder / "rows" / path.name)
+        for key, part in _curves_of(table):
+            before = sums.get(key)
+            sums[key] = part if before is None else _added(before, part)
+        del table
+        pa.default_memory_pool().release_unused()
+    keys, lengths = list(sums), [part.shape[1] for part in sums.values()]
+    columns: dict[str, Any] = {}
+    for place, name in enumerate(CURVES[:4]):
+        numbers, words = pd.factorize(np.array([key[place] for key in keys], dtype=object))
+        columns[name] = pd.Categorical.from_codes(np.repeat(numbers, lengths), words)
+    values = np.concatenate(list(sums.values()), axis=1) if sums else np.empty((6, 0))
+    columns.update(zip((*CURVES[4:], *SUMS), (values[0].astype(np.int32), *values[1:]), strict=True))
+    return pd.DataFrame(columns, columns=[*CURVES, *SUMS])
 
 
-def _summed(tables: list[pa.Table]) -> pa.Table:
-    whole = pa.concat_tables(tables)
-    found = whole.group_by(list(CURVES), use_threads=False).aggregate([(name, "sum") for name in SUMS])
-    return found.rename_columns({f"{name}_sum": name for name in SUMS})
+def _curves_of(table: pa.Table) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    """(scenario, variant, estimator, quantity) and, sorted by step, step, time and the sums (6, K) of a part."""
+    code, names = codes(table, CURVES[:4])
+    values = np.array([table[name].to_numpy() for name in (*CURVES[4:], *SUMS)], dtype=float)
+    order = np.lexsort((values[0], code))
+    code, values = code[order], values[:, order]
+    new = np.flatnonzero(np.r_[True, (np.diff(code) != 0) | (np.diff(values[0]) != 0)]) if len(code) else []
+    values = np.vstack([values[:2, new], np.add.reduceat(values[2:], new, axis=1)]) if len(new) else values
+    code = code[new]
+    for number, name in enumerate(names):
+        yield name, values[:, code == number]
+
+
+def _added(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sums of two parts, of which either may have steps that the other has not."""
+    if np.array_equal(a[0], b[0]):
+        return np.vstack([a[:2], a[2:] + b[2:]])
+    steps = np.union1d(a[0], b[0])
+    out = np.zeros((len(a), len(steps)))
+    out[0] = steps
+    for part in (a, b):
+        where = np.searchsorted(steps, part[0])
+        out[1, where] = part[1]
+        out[2:, where] += part[2:]
+    return out
+
+
+def codes(table: pa.Table, names: Sequence[str]) -> tuple[np.ndarray, list[tuple[str, ...]]]:
+    """A number for each line's combination of words, and the combinations by number."""
+    whole = np.zeros(table.num_rows, dtype=np.int64)
+    words: list[list[str]] = []
+    for name in names:
+        column = table[name].combine_chunks()
+        column = column if pa.types.is_dictionary(column.type) else column.dictionary_encode()
+        column = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+        words.append(column.dictionary.to_pylist())
+        whole = whole * max(1, len(words[-1])) + column.indices.to_numpy(zero_copy_only=False)
+    there, found = np.unique(whole, return_inverse=True)
+    combinations = []
+    for number in there.tolist():
+        combination: list[str] = []
+        for part in reversed(words):
+            number, place = divmod(number, max(1, len(part)))
+            combination.append(part[place])
+        combinations.append(tuple(reversed(combination)))
+    return found, combinations
 
 
 def read_trajectories(folder: Path) -> pa.Table | None:
@@ -144,16 +203,18 @@ def read_trajectories(folder: Path) -> pa.Table | None:
     tables = []
     for path in part_paths(folder, "trajectories"):
         table = _counting(read_part(path, "trajectories"), folder / "rows" / path.name, ("",))
-        keys = list(zip(*(table[name].to_pylist() for name in (*IDENTITY, "name")), strict=True))
-        new = {key for key in dict.fromkeys(keys) if key not in seen}
-        tables.append(table.filter(pa.array([key in new for key in keys], pa.bool_())))
+        tables.append(table.filter(pc.field("estimator") != ""))
+        truth = table.filter(pc.field("estimator") == "")
+        keys = list(zip(*(truth[name].to_pylist() for name in (*IDENTITY, "name")), strict=True))
+        new = set(keys) - seen
+        tables.append(truth.filter(pa.array([key in new for key in keys], pa.bool_())))
         seen |= new
-    return pa.concat_tables(tables, promote_options="default") if tables else None
+    return pa.concat_tables(tables, promote_options="default").unify_dictionaries() if tables else None
 
 
 def _counting(table: pa.Table, rows: Path, always: Collection[str] = ()) -> pa.Table:
     """What of a part belongs to estimators that have rows in the part of the same name."""
-    labels = [*read_part(rows, "rows", IDENTITY)["estimator"].unique().to_pylist(), *always]
+    labels = [*read_part(rows, "rows", ["estimator"])["estimator"].unique().to_pylist(), *always]
     return table.filter(pc.field("estimator").isin(labels))
 
 
