@@ -142,8 +142,7 @@ def read_curves(folder: Path) -> pd.DataFrame:
     keys, lengths = list(sums), [part.shape[1] for part in sums.values()]
     columns: dict[str, Any] = {}
     for place, name in enumerate(CURVES[:4]):
-        numbers, words = pd.factorize(np.array([key[place] for key in keys], dtype=object))
-        columns[name] = pd.Categorical.from_codes(np.repeat(numbers, lengths), words)
+        columns[name] = pd.Categorical(np.repeat(np.array([key[place] for key in keys], dtype=object), lengths))
     values = np.concatenate(list(sums.values()), axis=1) if sums else np.empty((6, 0))
     columns.update(zip((*CURVES[4:], *SUMS), (values[0].astype(np.int32), *values[1:]), strict=True))
     return pd.DataFrame(columns, columns=[*CURVES, *SUMS])
