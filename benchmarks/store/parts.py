@@ -152,13 +152,17 @@ def _curves_of(table: pa.Table) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
     """(scenario, variant, estimator, quantity) and, sorted by step, step, time and the sums (6, K) of a part."""
     code, names = codes(table, CURVES[:4])
     values = np.array([table[name].to_numpy() for name in (*CURVES[4:], *SUMS)], dtype=float)
-    order = np.lexsort((values[0], code))
+    order = np.argsort(code, kind="stable")
+    if ((np.diff(values[0][order]) < 0) & (np.diff(code[order]) == 0)).any():
+        order = np.lexsort((values[0], code))
     code, values = code[order], values[:, order]
     new = np.flatnonzero(np.r_[True, (np.diff(code) != 0) | (np.diff(values[0]) != 0)]) if len(code) else []
-    values = np.vstack([values[:2, new], np.add.reduceat(values[2:], new, axis=1)]) if len(new) else values
-    code = code[new]
+    if len(new) < len(code):  # a step stands in it several times: blocks of runs
+        values = np.vstack([values[:2, new], np.add.reduceat(values[2:], new, axis=1)])
+        code = code[new]
+    edges = np.searchsorted(code, np.arange(len(names) + 1))
     for number, name in enumerate(names):
-        yield name, values[:, code == number]
+        yield name, values[:, edges[number]:edges[number + 1]]
 
 
 def _added(a: np.ndarray, b: np.ndarray) -> np.ndarray:
