@@ -25,13 +25,13 @@ Watch = Callable[[int, Estimate, Step], None]
 @dataclass(frozen=True)
 class Driven:
     """Outcome of a drive. seconds: time inside the estimator; scoring: time spent on scores and kept trajectories;
-    steps: how many steps were driven (all runs together)."""
+    steps (S,): how many steps each run was under way."""
 
     scored: Scored
     outcomes: dict[tuple[str, str, str], Array]
     seconds: float
     scoring: float
-    steps: int
+    steps: Array
     world: World
 
 
@@ -96,7 +96,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}
-    return Driven(found, outcomes, started + loop.seconds, scoring.seconds, scoring.k, world)
+    return Driven(found, outcomes, started + loop.seconds, scoring.seconds, active, world)
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],

@@ -157,7 +157,7 @@ class _Block:
         scored = driven.scored
         columns = {**self._columns(runs), "status": [Status(s).name for s in scored.status], "reason": scored.reasons,
                    "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
-                   "steps": pa.array([driven.steps] * len(runs), pa.int32()),
+                   "steps": pa.array(driven.steps.astype(np.int32)),
                    "nees_states": pa.array([scored.nees_states] * len(runs), pa.int32())}
         for (metric, quantity), values in scored.metrics.items():
             unit = units.get(quantity, "1")

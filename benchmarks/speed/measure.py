@@ -50,7 +50,7 @@ def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> Ours:
         driven = drive(setting, short, estimator, model, random)
         total = perf_counter() - begun
         if repeat:
-            parts.append(1e9 / (driven.steps * runs) * np.array(
+            parts.append(1e9 / driven.steps.sum() * np.array(
                 [driven.seconds, driven.scoring, total - driven.seconds - driven.scoring]))
         last = estimator.estimate().mean.copy()
     estimator, scoring, runner = (float(value) for value in np.median(parts, axis=0))

@@ -11,7 +11,7 @@ import numpy as np
 from ...scenarios.arrays import Array
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..stochastic_m.cloud import GridParticles
+from ..stochastic_m.cloud import DRAWS, GridParticles
 
 
 @dataclass
@@ -29,7 +29,7 @@ def particle_loop(estimator: GridParticles, model: DesignModel, inputs: Array, m
     """Run `estimator`'s algorithm for a single run with a full Kalman filter per particle (eqs. (14) to (22)).
 
     Takes from the estimator only its parameters: children and their prior, pruning, proposal. inputs (K, nu),
-    measurements (K, ny), all received; random: that run's stream, drawn from in the same order as the estimator does.
+    measurements (K, ny), all received; random: that run's stream, drawn from in the estimator's portions.
     Returns mean (K, nx), parameter (K,) and the number of Kalman updates."""
     modes = model.modes
     assert modes is not None
@@ -42,8 +42,10 @@ def particle_loop(estimator: GridParticles, model: DesignModel, inputs: Array, m
     cloud = [Particle(int(theta[i]), 0.0, start[i], P0.copy()) for i in range(n)]
     moves = getattr(estimator, "edges", None)
     means, parameters, updates = [], [], 0
+    width, waiting = estimator.draws_per_step(), list[Array]()
     for u, y in zip(inputs, measurements, strict=True):
-        draws = random.uniform(0.0, 1.0, estimator.draws_per_step())[:, 0]
+        waiting = waiting or list(random.uniform(0.0, 1.0, max(1, DRAWS // width), width)[:, :, 0])
+        draws = waiting.pop(0)
         if moves is not None:
             for i, particle in enumerate(cloud):
                 particle.theta = int(np.searchsorted(moves[particle.theta], draws[1 + i], side="right"))

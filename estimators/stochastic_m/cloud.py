@@ -19,7 +19,7 @@ from ..interface import Estimate, Estimator, Innovation, Parameters, Status, fla
 from ..mode_grid import VARIANCE_FLOOR
 from . import factorised, full
 
-DRAWS = 256  # uniforms a run fetches at once: the stream is the same, the call's cost shared
+DRAWS = 256  # uniforms a run fetches at once, so that the call's cost is shared
 CYCLE = 64  # pruning makes the number of particles periodic within far fewer steps
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
+from numba import njit
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from ..arrays import Array
@@ -74,13 +75,22 @@ class Disturbance(Strict):
         length = random.uniform(self.piece[0], self.piece[1], pieces)
         height = random.uniform(self.amplitude[0], self.amplitude[1], pieces) * self.w_bar
         out = np.empty((steps, len(random.runs)))
-        for r in range(out.shape[1]):
-            until = np.searchsorted(np.arange(steps) * period, np.cumsum(length[:, r]))
-            lasting = np.diff(until, prepend=0)
-            alternating = sign[r] * height[:, r]
-            alternating[1::2] *= -1
-            out[:, r] = np.repeat(alternating, lasting)[:steps]
+        _switch(sign, length, height, period, out)
         return out
+
+
+@njit(cache=True)
+def _switch(sign, length, height, period, out):  # pyright: ignore
+    """out (steps, S): pieces of length s (pieces, S) and height (pieces, S) one after another, signs alternating from
+    sign (S,) on. A step belongs to the piece under way at its time, counted from 0."""
+    for r in range(out.shape[1]):
+        piece, until, way = 0, length[0, r], sign[r]
+        for k in range(out.shape[0]):
+            while k * period >= until:
+                piece += 1
+                until += length[piece, r]
+                way = -way
+            out[k, r] = way * height[piece, r]
 
 
 class Sensors(Strict):

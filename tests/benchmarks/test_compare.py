@@ -12,6 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from railstate.benchmarks.judging.comparison import FINISHED, between_estimators, between_folders
 from railstate.benchmarks.store.folder import Store
+from railstate.scenarios.files import load
+from railstate.scenarios.randomness import Streams
 from scipy import stats
 
 from ..conftest import Command
@@ -133,6 +135,20 @@ def test_the_same_run_twice_is_identical_to_the_bit(others: Command) -> None:
     done = others("compare", "one", "two", "--fail-on", "different")
     assert done.code == 0, done.out
     assert "12 of 12 common rows bit-identical" in done.out and "worse" not in done.out
+
+
+def test_runs_that_end_at_different_times_are_identical_in_any_batch(railstate: Command) -> None:
+    for batch in (1, 5):
+        railstate("run", "ningbo-metro/white", "--estimators", "ekf,ckf", "--runs", 5, "--batch", batch, "--jobs", 1,
+                  "--out", f"of-{batch}")
+    done = railstate("compare", "of-1", "of-5", "--fail-on", "different")
+    assert done.code == 0 and "10 of 10 common rows bit-identical" in done.out, done.out
+    rows = Store("of-5").rows()
+    scenario = load("ningbo-metro")
+    under_way = scenario.setting("white").world(Streams(1, "ningbo-metro", "white", range(5))).active.sum(axis=0)
+    assert len(set(under_way)) > 1
+    for _, part in rows.sort_values("run").groupby("estimator"):
+        assert part["steps"].tolist() == under_way.tolist()
 
 
 def test_what_changed_between_two_folders(others: Command) -> None:
