@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from railstate.benchmarks.store import folder as folder_module
@@ -461,6 +462,28 @@ def test_damaged_folders_end_in_one_message_or_are_right(railstate: Command, tmp
             assert set(common) >= {"scenario", "variant", "estimator", "run", "status"}, told
         assert sorted(path for path in tmp_path.iterdir()) == before, told  # nothing outside the folder
     assert 0.3 * number < refused < number
+
+
+@pytest.mark.long
+def test_many_runs_are_read_in_little_memory(railstate: Command, block: int = 100, copies: int = 150) -> None:
+    """15,000 runs of five estimators: parts of one block written again for other runs."""
+    railstate("run", "cbtc-csma/uniform", "--runs", block, "--jobs", 1, "--batch", block, "--out", "out")
+    part = next(Path("out/rows").glob("*.parquet"))
+    table = pq.read_table(part)
+    for copy in range(1, copies):
+        moved = pa.array(table["run"].to_numpy() + block * copy, pa.int32())
+        pq.write_table(table.set_column(table.column_names.index("run"), "run", moved), f"out/rows/{copy:04d}.parquet")
+        Path(f"out/curves/{copy:04d}.parquet").write_bytes(Path("out/curves", part.name).read_bytes())
+    content = json.loads(Path("out/manifest.json").read_text())
+    for cell in (content["configuration"], *content["configuration"]["cells"].values()):
+        cell["runs"] = block * copies
+    Path("out/manifest.json").write_text(json.dumps(content))
+    code = ("import resource, sys\nfrom railstate.benchmarks.cli import main\n"
+            "sys.argv = ['railstate', 'report', 'out']\ntry:\n    main()\nexcept SystemExit as end:\n"
+            "    assert not end.code\nprint(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout.split()[-1]) < 500_000  # kB
+    assert Store("out").curves()["active"].max() == block * copies
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
