@@ -4,7 +4,9 @@ Exit codes: 0 done, 1 a check failed, 2 the input is wrong, 130 interrupted."""
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import warnings
 from importlib.metadata import version
 from typing import Annotated
@@ -23,6 +25,7 @@ from .commands.run import run
 from .commands.show import list_, schema, show
 from .commands.sweep import sweep
 from .commands.timing import timing
+from .isolation.process import end_idle
 from .studies.complete import Interrupted
 
 app = typer.Typer(
@@ -46,8 +49,16 @@ def options(version_: Annotated[bool, typer.Option("--version", help="Print the 
 
 def main() -> None:
     """Entry point of the console script."""
-    warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
+    said: set[str] = set()
+
+    def warn(message: Warning | str, *_: object) -> None:
+        if str(message) not in said:  # once, from however many processes
+            said.add(str(message))
+            print(f"warning: {message}", file=sys.stderr)
+
+    warnings.showwarning = warn
     try:
+        _end_on_sigterm()
         app()
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -63,3 +74,13 @@ def main() -> None:
         raise SystemExit(130) from None
     except KeyboardInterrupt:
         raise SystemExit(130) from None
+    finally:
+        end_idle()
+
+
+def _end_on_sigterm() -> None:
+    """SIGTERM and a closed terminal end like Ctrl-C: everything started is ended, the line that continues is said."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) == signal.SIG_DFL:
+                signal.signal(number, signal.default_int_handler)

@@ -1,6 +1,7 @@
-"""Finding estimators: built-ins and plug-ins through the same entry points, and classes in loose files (`--plugin`).
+"""Finding estimators: the suite's own, and plug-ins: entry points of other packages, and loose files (`--plugin`).
 
-Names are the entry point's; a loose file's estimator is named after the file, or after its class where it holds
+What is not the suite's own is imported only where it is asked for, which is a process of its own; the command knows the
+names of installed plug-ins without. A loose file's estimator is named after the file, or after its class where it holds
 several."""
 
 from __future__ import annotations
@@ -10,37 +11,74 @@ import importlib.util
 import inspect
 import re
 import sys
+import warnings
 from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from ..scenarios.errors import InputError
-from ..scenarios.registry import load_group
+from ..scenarios.schema import LABEL
 from ..scenarios.source import LOOSE
 from .interface import Estimator, first_edition
 
+GROUP, SUITE = "railstate.estimators", "railstate"
 _loose: dict[str, type[Estimator]] = {}
 
 
 @cache
-def _registered() -> dict[str, type[Estimator]]:
-    found = load_group("railstate.estimators")
-    return {name: found[name] for name in sorted(found)}
-
-
 def estimators() -> dict[str, type[Estimator]]:
-    """All estimators by plug-in name."""
-    return {**_registered(), **_loose}
+    """The suite's own estimators by name."""
+    return {point.name: point.load() for point in sorted(entry_points(group=GROUP)) if _distribution(point) == SUITE}
+
+
+@cache
+def installed() -> dict[str, EntryPoint]:
+    """The plug-ins of other packages by name, not imported. Those of a name that is taken are warned about."""
+    found: dict[str, EntryPoint] = {}
+    twice: set[str] = set()
+    for point in sorted(entry_points(group=GROUP)):
+        if _distribution(point) == SUITE:
+            continue
+        if point.name in estimators() or not re.fullmatch(LABEL, point.name):
+            why = "the suite has an estimator of this name" if point.name in estimators() else "no name for estimators"
+            warnings.warn(f"plug-in {point.name!r} of {_distribution(point)} is left out: {why}", stacklevel=2)
+        elif point.name in found:
+            twice.add(point.name)
+            warnings.warn(f"plug-in {point.name} is left out: {_distribution(found[point.name])} and "
+                          f"{_distribution(point)} both have one of this name", stacklevel=2)
+        else:
+            found[point.name] = point
+    return {name: point for name, point in found.items() if name not in twice}
+
+
+def _distribution(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else "a package without a name"
 
 
 def estimator_class(name: str, where: str) -> type[Estimator]:
-    """The class of a plug-in name. Raises InputError naming those there are."""
-    known = estimators()
-    if name not in known:
-        raise InputError(f"{where}: there is no estimator \"{name}\"; installed: {', '.join(known)}")
-    old = first_edition(known[name])
+    """The class of a name; that of an installed plug-in is imported here. Raises InputError naming those there are."""
+    if name in estimators():
+        return estimators()[name]
+    if name in _loose:
+        return _loose[name]
+    if name not in installed():
+        known = ", ".join((*estimators(), *installed()))
+        raise InputError(f"{where}: there is no estimator \"{name}\"; installed: {known}")
+    point = installed()[name]
+    try:
+        cls = point.load()
+    except BaseException as error:
+        raise InputError(f"plug-in {name} ({point.value}): {_unfit(error)}") from None
+    if not (inspect.isclass(cls) and issubclass(cls, Estimator)):
+        raise InputError(f"plug-in {name} ({point.value}): is no subclass of {Estimator.__module__}.Estimator")
+    old = first_edition(cls)
     if old:
         raise InputError(f"{where}: {old}")
-    return known[name]
+    return cls
+
+
+def _unfit(error: BaseException) -> str:
+    return f"does not import: {type(error).__name__}: {error}"
 
 
 def load_file(path: str) -> dict[str, type[Estimator]]:
@@ -60,9 +98,9 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
         sys.modules[module_name] = module
         try:
             spec.loader.exec_module(module)
-        except Exception as error:
-            del sys.modules[module_name]
-            raise InputError(f"{path}: does not import: {type(error).__name__}: {error}") from error
+        except BaseException as error:
+            sys.modules.pop(module_name, None)
+            raise InputError(f"{path}: {_unfit(error)}") from None
     classes = [value for value in vars(module).values()
                if inspect.isclass(value) and issubclass(value, Estimator) and value.__module__ == module_name
                and not inspect.isabstract(value)]
@@ -74,8 +112,12 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
             raise InputError(f"{path}: {old}")
     names = [file.stem.replace("_", "-")] if len(classes) == 1 else [
         re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", item.__name__).lower() for item in classes]
+    wrong = [name for name in names if not re.fullmatch(LABEL, name) or names.count(name) > 1]
+    if wrong:
+        raise InputError(f"{path}: {wrong[0]!r} is no name for an estimator, or that of two; rename the "
+                         f"{'file' if len(classes) == 1 else 'class'}: letters, digits, and .-_ inside")
     found = dict(zip(names, classes, strict=True))
-    taken = [name for name in found if name in _registered()]
+    taken = [name for name in found if name in estimators() or name in installed()]
     if taken:
         raise InputError(f"{path}: an estimator named {taken[0]} is installed already; rename the "
                          f"{'file' if len(classes) == 1 else 'class'}")

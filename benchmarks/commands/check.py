@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import TypeAdapter, ValidationError
 
-from ...estimators.registry import estimator_class, load_file
+from ...estimators.interface import Status
+from ...estimators.registry import estimator_class, estimators
 from ..conformance import Finding, Report
+from ..isolation.process import Ended
+from ..planning.catalogue import Catalogue
 from ..planning.naming import located
-from ..running.isolation import Ended, isolation
-from .options import overrides
+from .options import Memory, gigabytes, overrides
 
 
 def check(
@@ -21,36 +25,43 @@ def check(
     parameter: Annotated[list[str] | None, typer.Option(
         metavar="KEY=VALUE", help="A parameter of the estimator.")] = None,
     timeout: Annotated[float, typer.Option(min=1.0, help="Seconds after which a plug-in counts as hung.")] = 300.0,
+    memory: Memory = 0.0,
 ) -> None:
     """Check that an estimator keeps the rules of the suite; exit code 1 if it does not."""
     from ..conformance import conform
 
     is_file = name.endswith(".py") or Path(name).is_file()
-    classes = load_file(name) if is_file else {name: estimator_class(name, "check")}
+    catalogue = Catalogue([name] if is_file else [])
     given = overrides(parameter or [], "--parameter", "gain=0.5")
     broken = 0
-    with isolation(timeout) as process:
-        for plugin, cls in classes.items():
-            report = (conform(cls, plugin, given, scenario) if cls.__module__.startswith("railstate.") else
-                      process.call(_check, str(Path(name).resolve()) if is_file else "", plugin, given,
-                                   located(scenario)))
-            if isinstance(report, Ended):
-                report = Report({}, {}, [Finding("runs", "some case", "design, start, predict, update and estimate "
-                                                 "come back", report.reason, "see what it does to its process, or "
-                                                 "for how long it may go on")])
-            _print(plugin, report)
-            broken += len(report.findings)
+    for plugin in catalogue.loose or [name]:
+        if plugin in estimators():
+            report = conform(estimators()[plugin], plugin, given, scenario)
+        else:
+            with catalogue.process(plugin, timeout, gigabytes(memory)) as process:
+                report = _report(process.call(_check, plugin, given, located(scenario)))
+        _print(plugin, report)
+        broken += len(report.findings)
     if broken:
         raise typer.Exit(1)
 
 
-def _check(file: str, plugin: str, parameters: dict[str, Any], scenario: str) -> Report:
-    """The check of a plug-in, in whatever process."""
+def _check(plugin: str, parameters: dict[str, Any], scenario: str) -> dict[str, Any]:
+    """The check of a plug-in, in a process of its own, as plain data."""
     from ..conformance import conform
 
-    if file:
-        load_file(file)
-    return conform(estimator_class(plugin, "check"), plugin, parameters, scenario)
+    return asdict(conform(estimator_class(plugin, "check"), plugin, parameters, scenario))
+
+
+def _report(found: Any) -> Report:
+    """What a process of its own found out, or that it did not come back."""
+    if not isinstance(found, Ended):
+        try:
+            return TypeAdapter(Report).validate_python(found)
+        except ValidationError:
+            found = Ended(Status.crashed, "the process running it answered nonsense")
+    return Report({}, {}, [Finding("runs", "some case", "design, start, predict, update and estimate come back",
+                                   found.reason, "see what it does to its process, or for how long it may go on")])
 
 
 def _print(plugin: str, report: Report) -> None:

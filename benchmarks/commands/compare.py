@@ -12,12 +12,14 @@ from typing import Annotated, Literal
 import pandas as pd
 import typer
 
-from ...estimators.registry import estimators, load_file
+from ...estimators.registry import estimator_class
 from ...scenarios.errors import InputError, Unsupported
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
+from ..isolation.process import IMPORT
 from ..judging.comparison import FINISHED, Changes, between_estimators, between_folders, speed_ratio
 from ..judging.comparison import Comparison as Contest
+from ..planning.catalogue import Catalogue
 from ..planning.naming import find
 from ..planning.plan import make_plan
 from ..running.runner import Machinery
@@ -82,10 +84,9 @@ def _run(a: str, b: str, names: list[str], runs: int, seed: int, jobs: int, sets
          out: str) -> Store:
     """The runs of both, from the folder where they are finished already."""
     changes = options.overrides(sets)
-    for path in plugins:
-        load_file(path)
-    plan = make_plan(names or _fitting(a, b, seed), only=[a, b], runs=runs, seed=seed, keep=0, overrides=changes,
-                     plugins=plugins)
+    catalogue = Catalogue(plugins)
+    plan = make_plan(names or _fitting(a, b, seed, catalogue), only=[a, b], runs=runs, seed=seed, keep=0,
+                     overrides=changes, catalogue=catalogue)
     for cell in plan.cells:
         missing = [name for name in (a, b) if name not in cell.entries]
         if missing:
@@ -94,7 +95,7 @@ def _run(a: str, b: str, names: list[str], runs: int, seed: int, jobs: int, sets
     return complete(plan, Path(out) if out else default_folder(plan), Machinery(jobs or os.cpu_count() or 1), command)
 
 
-def _fitting(a: str, b: str, seed: int) -> list[str]:
+def _fitting(a: str, b: str, seed: int, catalogue: Catalogue) -> list[str]:
     """NAME/VARIANT of the built-in scenarios whose first variant lists both; else of the shortest that both can work
     with. Raises InputError."""
     listed, possible = [], []
@@ -106,24 +107,35 @@ def _fitting(a: str, b: str, seed: int) -> list[str]:
             continue
         if a in entries and b in entries:
             listed.append(f"{name}/{scenario.default}")
-        elif all(label in entries or label in estimators() for label in (a, b)):
-            possible.append((f"{name}/{scenario.default}", setting))
-    for name, setting in [] if listed else sorted(possible, key=lambda item: item[1].config.time.steps):
-        model = setting.design_model({}, setting.world(Streams(seed, name, "", (0,))).initial_mean)
-        entries = setting.config.estimators
-        classes = [estimators()[entries[label].plugin if label in entries else label] for label in (a, b)]
-        if model.modes is not None and not all("modes" in cls.needs for cls in classes):
-            continue  # one of them would not estimate the parameter that this scenario is about
-        try:
-            for cls in classes:
-                cls.require(model)
-        except Unsupported:
-            continue
-        return [name]
+        elif all(label in entries or label in catalogue.names() for label in (a, b)):
+            plugins = [entries[label].plugin if label in entries else label for label in (a, b)]
+            possible.append((setting.config.time.steps, f"{name}/{scenario.default}", plugins))
+    for _, name, plugins in [] if listed else sorted(possible):
+        if all(_works(name, plugin, seed, catalogue) for plugin in plugins):
+            return [name]
     if not listed:
         raise InputError(f"no built-in scenario knows both {a} and {b}; name one with --scenario. Installed "
-                         f"estimators: {', '.join(estimators())}")
+                         f"estimators: {', '.join(catalogue.names())}")
     return listed
+
+
+def _works(name: str, plugin: str, seed: int, catalogue: Catalogue) -> bool:
+    """Whether an estimator can work with a scenario, and would estimate the parameter that it is about."""
+    if catalogue.own(plugin):
+        return _works_here(name, plugin, seed)
+    with catalogue.process(plugin, IMPORT) as process:
+        return process.call(_works_here, name, plugin, seed) is True
+
+
+def _works_here(name: str, plugin: str, seed: int) -> bool:
+    scenario, variants = find(name)
+    setting, cls = scenario.setting(variants[0]), estimator_class(plugin, name)
+    model = setting.design_model({}, setting.world(Streams(seed, name, "", (0,))).initial_mean)
+    try:
+        cls.require(model)
+    except Unsupported:
+        return False
+    return model.modes is None or "modes" in cls.needs
 
 
 def _print_rows(changes: Changes, a: str, b: str) -> None:

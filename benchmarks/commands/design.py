@@ -4,6 +4,7 @@ A design is a scenario's estimators' own `design` step; a certificate is Theorem
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,6 @@ import typer
 
 from ...estimators.interface import Estimator
 from ...estimators.registry import estimator_class
-from ...estimators.registry import estimators as installed
 from ...estimators.ultimate_bound.decay import trade_off
 from ...estimators.ultimate_bound.estimators import FixedGain
 from ...estimators.ultimate_bound.gains import read_gain
@@ -24,8 +24,9 @@ from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
+from ..isolation.process import IMPORT, Ended
+from ..planning.catalogue import Catalogue
 from ..planning.naming import find_one
-from ..planning.plan import checked_parameters
 from ..running.drive import prepare
 from ..telling.console import print_table
 from .options import Estimators, Sets, labels, names_in, overrides
@@ -56,11 +57,15 @@ def design(
     rows: list[dict[str, Any]] = []
     gains: dict[str, np.ndarray] = {}
     others: dict[str, dict[str, Any]] = {}
-    for label in _labels(setting, estimators):
+    catalogue = Catalogue()
+    for label in _labels(setting, estimators, catalogue):
         entry = setting.config.estimators.get(label) or EstimatorEntry(plugin=label)
-        cls = estimator_class(entry.plugin, name)
-        parameters = checked_parameters(cls, entry.parameters, f"{name}: estimators.{label}.parameters")
-        found = _designed(setting, name, variant, cls, parameters, entry.knowledge)
+        parameters = catalogue.parameters(entry.plugin, entry.parameters, f"{name}: estimators.{label}.parameters")
+        if catalogue.own(entry.plugin):
+            cls = estimator_class(entry.plugin, name)
+            found = _designed(setting, name, variant, cls, parameters, entry.knowledge)
+        else:
+            found = _designed_apart(setting, name, variant, catalogue, entry, parameters)
         if found.row:
             rows.append({"estimator": label, **found.row})
         if found.gain is not None:
@@ -159,6 +164,24 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
     }, info["gain"])
 
 
+def _designed_apart(setting: Setting[Any], name: str, variant: str, catalogue: Catalogue, entry: EstimatorEntry,
+                    parameters: dict[str, Any]) -> _Designed:
+    """The same of a plug-in, in a process of its own."""
+    with catalogue.process(entry.plugin, IMPORT) as process:
+        found = process.call(_plain, setting, name, variant, entry.plugin, parameters, entry.knowledge)
+    if isinstance(found, Ended):
+        return _Designed({"bound": "none", "status": found.reason})
+    return _Designed(found["row"], None if found["gain"] is None else np.array(found["gain"]), found["other"])
+
+
+def _plain(setting: Setting[Any], name: str, variant: str, plugin: str, parameters: dict[str, Any],
+           knowledge: dict[str, Any]) -> dict[str, Any]:
+    """A plug-in's design as plain data."""
+    found = _designed(setting, name, variant, estimator_class(plugin, name), parameters, knowledge)
+    plain = {"row": found.row, "gain": found.gain, "other": found.other}
+    return json.loads(json.dumps(plain, default=lambda value: np.asarray(value).tolist()))
+
+
 def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator], parameters: dict[str, Any],
              knowledge: dict[str, Any]) -> tuple[Estimator, DesignModel]:
     world = setting.world(Streams(0, name, variant, (0,)))
@@ -171,12 +194,12 @@ def _setting(scenario: str, theta: float | None, delta: float | None, set_: list
     return found.setting(variant), found.name, variant
 
 
-def _labels(setting: Setting[Any], only: str) -> list[str]:
+def _labels(setting: Setting[Any], only: str, catalogue: Catalogue) -> list[str]:
     known = setting.config.estimators
     for label in labels(only):
-        if label not in known and label not in installed():
+        if label not in known and label not in catalogue.names():
             raise InputError(f"{setting.config.name}: there is no estimator \"{label}\"; allowed: {', '.join(known)}, "
-                             f"or the name of an installed estimator: {', '.join(installed())}")
+                             f"or the name of an installed estimator: {', '.join(catalogue.names())}")
     return labels(only) or list(known)
 
 

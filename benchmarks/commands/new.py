@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from jinja2 import Environment, StrictUndefined
 
-from ...estimators.registry import estimators
+from ...estimators.registry import estimators, installed
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
 
@@ -29,7 +29,7 @@ SCENARIO = {**ESTIMATOR, "module": "{module}/__init__.py", "toml": "{module}/{na
 @app.command()
 def estimator(name: Name, folder: Under = Path()) -> None:
     """A package with an estimator of twenty lines, its parameters, a test, a README and an entry point."""
-    made = _write("estimator", ESTIMATOR, name, set(estimators()), folder)
+    made = _write("estimator", ESTIMATOR, name, {*estimators(), *installed()}, folder)
     print(f"{made}: written; now\n  pip install -e {made}\n  railstate check {name}\n"
           f"  railstate run rap-example-1 --estimators {name},kalman")
 

@@ -19,6 +19,14 @@ Sets = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE",
 Plugins = Annotated[list[str], typer.Option("--plugin", metavar="FILE.py",
                                             help="Use estimator classes of a loose file.")]
 
+Memory = Annotated[float, typer.Option("--memory", metavar="GB", min=0.0,
+                                       help="Memory a plug-in's process may take (0: a share of the machine's).")]
+
+
+def gigabytes(memory: float) -> int:
+    """`--memory` in bytes."""
+    return int(memory * 1e9)
+
 
 def names_in(text: str) -> list[str]:
     """`A,B` as a list."""

@@ -16,7 +16,7 @@ from ..planning.plan import make_plan
 from ..running.runner import Machinery
 from ..studies.complete import complete, default_folder
 from ..telling.results import print_results
-from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides
+from .options import Estimators, Jobs, Memory, Plugins, Runs, Seed, Sets, gigabytes, labels, names_in, overrides
 
 
 def run(
@@ -39,6 +39,7 @@ def run(
     backend: Annotated[str, typer.Option(help="local, or a joblib cluster backend: dask, ray.")] = "local",
     scheduler: Annotated[str, typer.Option(help="Address of the cluster's scheduler.")] = "",
     timeout: Annotated[float, typer.Option(help="Seconds after which a task counts as hung.")] = 900.0,
+    memory: Memory = 0.0,
     retry: Annotated[str, typer.Option(metavar="STATUS,..", help="Statuses to compute anew: crashed,timeout,..")] = "",
     overwrite: Annotated[bool, typer.Option(
         "--overwrite", help="Compute anew what the folder holds of this; replace another configuration.")] = False,
@@ -56,7 +57,8 @@ def run(
     plan = make_plan(scenarios or [], only=labels(estimators), runs=runs, seed=seed, keep=keep, overrides=changes,
                      plugins=plugin)
     folder = Path(out) if out else default_folder(plan)
-    machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout)
+    machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout,
+                          gigabytes(memory))
     command = shlex.join(["railstate", *sys.argv[1:]])
     print_results(complete(plan, folder, machinery, command, retry=again, overwrite=overwrite))
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any
 
 import pandas as pd
 import typer
 
-from ...estimators.interface import Estimator
-from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
+from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
 from ..telling.console import print_table
 
@@ -26,20 +26,28 @@ def list_() -> None:
         rows.append({"scenario": name, "about": config.title, "variants (first = default)": " ".join(scenario.variants),
                      "estimators": " ".join(config.estimators)})
     print_table("Scenarios", pd.DataFrame(rows))
-    print_table("Estimators", pd.DataFrame([
-        {"estimator": name, "about": cls.summary, "needs": " ".join(cls.needs) or "-",
-         "claims": " ".join(("mean", *cls.claims))} for name, cls in estimators().items()]))
+    catalogue, lines = Catalogue(), []
+    for name in catalogue.names():
+        try:
+            found = catalogue[name]
+        except InputError as error:
+            warnings.warn(f"{error}: left out", stacklevel=2)
+        else:
+            lines.append({"estimator": name, "about": found.summary, "needs": " ".join(found.needs) or "-",
+                          "claims": " ".join(("mean", *found.claims))})
+    print_table("Estimators", pd.DataFrame(lines))
 
 
 def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")]) -> None:
     """Show a scenario resolved, or an estimator's parameters."""
-    if name in estimators():
-        _show_estimator(name, estimators()[name])
+    catalogue = Catalogue()
+    if name in catalogue.names():
+        _show_estimator(catalogue[name])
         return
     try:
         scenario, variant = find_one(name)
     except InputError as error:
-        raise InputError(f"{error}\nestimators: {', '.join(estimators())}") from None
+        raise InputError(f"{error}\nestimators: {', '.join(catalogue.names())}") from None
     config = scenario.setting(variant).config
     print(f"{scenario.name}/{variant}: {config.title}\nsource: {config.source}")
     print(f"variants: {', '.join(scenario.variants)}")
@@ -73,16 +81,13 @@ def schema() -> None:
                       "anyOf": kinds, "$defs": definitions}, indent=1))
 
 
-def _show_estimator(name: str, cls: type[Estimator]) -> None:
-    print(f"{name}: {cls.summary}\nsource: {cls.source or '-'}\nneeds: "
-          f"{', '.join(cls.needs) or 'nothing beyond f and h'}\nclaims: {', '.join(('mean', *cls.claims))}")
-    if cls.__doc__:
-        print(f"\n{cls.__doc__.strip()}\n")
-    fields = [{"parameter": key, "default": "required" if field.is_required() else json.dumps(field.default),
-               "type": str(field.annotation).replace("typing.", "").removeprefix("<class '").removesuffix("'>"),
-               "about": field.description or ""} for key, field in cls.Parameters.model_fields.items()]
-    if fields:
-        print_table("Parameters", pd.DataFrame(fields))
+def _show_estimator(found: Described) -> None:
+    print(f"{found.name}: {found.summary}\nsource: {found.source or '-'}\nneeds: "
+          f"{', '.join(found.needs) or 'nothing beyond f and h'}\nclaims: {', '.join(('mean', *found.claims))}")
+    if found.about:
+        print(f"\n{found.about.strip()}\n")
+    if found.parameters:
+        print_table("Parameters", pd.DataFrame(found.parameters))
     else:
         print("no parameters")
 

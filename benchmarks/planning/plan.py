@@ -6,19 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
-from ...estimators.interface import Estimator
-from ...estimators.registry import estimator_class, estimators, load_file
-from ...scenarios.errors import InputError, describe
+from ...estimators.registry import estimators
+from ...scenarios.errors import InputError
 from ...scenarios.files import DISPLAY, Scenario, load
 from ...scenarios.registry import scenario_files, setting_of, settings
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
 from ...scenarios.source import source_hash
+from .catalogue import Catalogue
 from .naming import find
 
 SCORING = "railstate.benchmarks.running.execute"
@@ -48,25 +45,32 @@ class Cell:
 
 @dataclass(frozen=True)
 class Task:
-    """A block of runs of one cell for some of its estimators. keep: trajectories of runs below this number are kept."""
+    """A block of runs of one cell for some of its estimators. keep: trajectories of runs below this number are kept.
+    plugin: the loose file that its estimator, which then is alone, comes from ("": none)."""
 
     cell: Cell
     labels: tuple[str, ...]
     runs: tuple[int, ...]
     seed: int
     keep: int = 0
-    plugins: tuple[str, ...] = ()
+    plugin: str = ""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that decides the rows of a run."""
+    """Everything that decides the rows of a run. catalogue: what is known of the estimators."""
 
     cells: tuple[Cell, ...]
     runs: int
     seed: int
     keep: int = 0
-    plugins: tuple[str, ...] = ()
+    catalogue: Catalogue = field(default_factory=Catalogue, compare=False, repr=False)
+
+    def task(self, cell: Cell, labels: tuple[str, ...], runs: tuple[int, ...]) -> Task:
+        """A task of this plan: for several of the suite's own estimators, or for one plug-in."""
+        name = cell.entries[labels[0]].plugin
+        file = "" if name in estimators() else self.catalogue[name].file
+        return Task(cell, labels, runs, self.seed, self.keep, file)
 
     def configuration(self) -> dict[str, Any]:
         """What must be the same for two runs to have the same rows (display names aside): what is asked for, and the
@@ -92,7 +96,7 @@ class Plan:
                     "scoring": scoring,
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
-                                "source": code(estimators()[entry.plugin])}
+                                "source": self.catalogue[entry.plugin].hash}
                         for label, entry in cell.entries.items()
                     },
                 }
@@ -102,7 +106,8 @@ class Plan:
 
 
 def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100, seed: int = 1, keep: int = 0,
-              overrides: Mapping[str, Any] | None = None, plugins: Sequence[str] = ()) -> Plan:
+              overrides: Mapping[str, Any] | None = None, plugins: Sequence[str] = (),
+              catalogue: Catalogue | None = None) -> Plan:
     """A plan from the command line's words.
 
     names: scenario names, NAME/VARIANT, or paths; none means every built-in scenario that needs no file of the user's.
@@ -110,12 +115,12 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
     for flag, value in (("--runs", runs), ("--seed", seed + 1), ("--keep", keep + 1)):
         if value < 1:
             raise InputError(f"{flag}: must be at least {1 if flag == '--runs' else 0}")
-    loose = [name for path in plugins for name in load_file(path)]
+    catalogue = catalogue or Catalogue(plugins)
     cells: list[Cell] = []
     for name in names or _self_contained():
         scenario, chosen = find(name, overrides)
         for variant in chosen:
-            cell = _cell(scenario, variant, only, loose)
+            cell = _cell(scenario, variant, only, catalogue)
             twin = next((other for other in cells if cell and other.key == cell.key), None)
             if cell and twin and _content(twin) != _content(cell):
                 raise InputError(f"{cell.where} and {twin.where} are both named {cell.scenario}: a name of its own "
@@ -126,8 +131,8 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
         known = sorted({label for name in names or _self_contained()
                         for label in find(name, overrides)[0].variants[find(name, overrides)[1][0]]["estimators"]})
         raise InputError(f"--estimators {','.join(only)}: none of these; allowed here: {', '.join(known)}, or the name "
-                         f"of an installed estimator: {', '.join(estimators())}")
-    return Plan(tuple(cells), runs, seed, keep, tuple(str(Path(path).resolve()) for path in plugins))
+                         f"of an installed estimator: {', '.join(catalogue.names())}")
+    return Plan(tuple(cells), runs, seed, keep, catalogue)
 
 
 def _content(cell: Cell) -> dict[str, Any]:
@@ -145,44 +150,36 @@ def _kind(name: str) -> object:
     return scenario.variants[scenario.default]["plant"]["kind"]
 
 
-def _cell(scenario: Scenario, variant: str, only: Sequence[str], loose: Sequence[str]) -> Cell | None:
+def _cell(scenario: Scenario, variant: str, only: Sequence[str], catalogue: Catalogue) -> Cell | None:
     """The cell of one variant, its estimators checked. None if none of `only` applies to it."""
     config = scenario.setting(variant).config
     entries: dict[str, EstimatorEntry] = {}
+    names = catalogue.names()
     if only:
         for label in only:
             if label in config.estimators:
                 entries[label] = config.estimators[label]
-            elif label in estimators():
+            elif label in names:
                 entries[label] = EstimatorEntry(plugin=label)
             else:
-                known = {**dict.fromkeys(config.estimators), **dict.fromkeys(estimators())}
+                known = {**dict.fromkeys(config.estimators), **dict.fromkeys(names)}
                 if not any(label in other["estimators"] for other in scenario.variants.values()):
                     raise InputError(f"--estimators {label}: no such estimator for {scenario.name}; allowed: "
                                      f"{', '.join(known)}")
     else:
         entries = {label: entry for label, entry in config.estimators.items() if entry.default}
-        for name in loose:
+        for name in catalogue.loose:
             entries.setdefault(name, EstimatorEntry(plugin=name))
     for label, entry in entries.items():
-        cls = estimator_class(entry.plugin, f"{scenario.where}: estimators.{label}.plugin")
-        entries[label] = entry.model_copy(update={"parameters": checked_parameters(
-            cls, entry.parameters, f"{scenario.where}: estimators.{label}.parameters", scenario.folder)})
+        place = f"{scenario.where}: estimators.{label}"
+        if entry.plugin not in names:
+            raise InputError(f"{place}.plugin: there is no estimator \"{entry.plugin}\"; installed: {', '.join(names)}")
+        entries[label] = entry.model_copy(update={"parameters": catalogue.parameters(
+            entry.plugin, entry.parameters, f"{place}.parameters", scenario.folder)})
     return Cell(scenario.name, variant, scenario.where, scenario.variants[variant], entries) if entries else None
-
-
-def checked_parameters(cls: type[Estimator], given: Mapping[str, Any], where: str,
-                       folder: Path = Path()) -> dict[str, Any]:
-    """An estimator's parameters as plain data, what a file (named from `folder` on) holds in place of its name. Raises
-    InputError naming the field and what is allowed."""
-    try:
-        found = cls.Parameters.model_validate(dict(given), context={"folder": folder})
-        return found.model_dump(mode="json", exclude_unset=True)
-    except ValidationError as error:
-        raise InputError("\n".join(describe(error, cls.Parameters, where))) from None
 
 
 def own(cell: Cell, label: str) -> bool:
     """Whether an estimator of a cell, and the cell's setting, are the suite's own code."""
-    classes = (settings()[cell.table["plant"]["kind"]], estimators()[cell.entries[label].plugin])
-    return all(cls.__module__.startswith("railstate.") for cls in classes)
+    setting = settings()[cell.table["plant"]["kind"]]
+    return cell.entries[label].plugin in estimators() and setting.__module__.startswith("railstate.")

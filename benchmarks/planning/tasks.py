@@ -1,11 +1,11 @@
-"""A plan cut into tasks, what is done already left out."""
+"""A plan cut into tasks, what is done already left out; strangers' code apart from all else."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
 
-from .plan import Plan, Task
+from .plan import Plan, Task, own
 
 
 def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
@@ -19,14 +19,16 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
         size = batch or max(1, min(500, room, share))
         missing: dict[tuple[str, ...], list[int]] = {}
         for run in range(count):
-            labels = tuple(label for label in cell.entries if run not in done.get((cell.key, label), ()))
-            if labels:
-                missing.setdefault(labels, []).append(run)
+            labels = [label for label in cell.entries if run not in done.get((cell.key, label), ())]
+            together = tuple(label for label in labels if own(cell, label))
+            for part in (together, *((label,) for label in labels if label not in together)):
+                if part:
+                    missing.setdefault(part, []).append(run)
         for labels, runs in missing.items():
             for first in range(0, len(runs), size):
                 block = tuple(runs[first:first + size])
                 weight = setting.batch_bytes() * len(block) * len(labels)
-                tasks.append((weight, Task(cell, labels, block, plan.seed, plan.keep, plan.plugins)))
+                tasks.append((weight, plan.task(cell, labels, block)))
     return [task for _, task in sorted(tasks, key=lambda item: -item[0])]
 
 

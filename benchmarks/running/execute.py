@@ -7,7 +7,6 @@ from __future__ import annotations
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,33 +14,25 @@ import numpy as np
 import pyarrow as pa
 
 from ...estimators.interface import Estimate, Status
-from ...estimators.registry import estimators, load_file
-from ...scenarios.errors import Infeasible, InputError
+from ...estimators.registry import estimator_class
+from ...scenarios.errors import Infeasible
 from ...scenarios.randomness import Streams
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
-from ..planning.plan import Task
+from ..isolation.process import clean
+from ..planning.plan import Task, own
 from .drive import Driven, drive, prepare
+from .result import Result, failed, identity, joined
 
 Columns = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Result:
-    """Tables of a task: rows (one per estimator and run), curves (sums per step), kept trajectories (or None)."""
-
-    task: Task
-    rows: pa.Table
-    curves: pa.Table | None
-    kept: pa.Table | None
+TRACE = 20_000
+"""Characters of a traceback that are kept."""
 
 
 def execute(task: Task) -> Result:
     """Run a task on one thread. Raises nothing for what an estimator does wrong: that becomes rows."""
     from threadpoolctl import threadpool_limits
 
-    for path in task.plugins:
-        load_file(path)
     with threadpool_limits(1), np.errstate(all="ignore"):
         setting = task.cell.setting()
         worlds = _Worlds(setting, task)
@@ -56,11 +47,13 @@ def execute(task: Task) -> Result:
             kept += block.kept
         if kept:
             kept += worlds.extras()
-    return Result(task, _join(rows), _join(curves) if curves else None, _join(kept) if kept else None)
+    return Result(task, joined(rows), joined(curves) if curves else None, joined(kept) if kept else None)
 
 
-def _join(tables: Sequence[pa.Table]) -> pa.Table:
-    return pa.concat_tables(tables, promote_options="default")
+def execute_apart(task: Task) -> dict[str, pa.Table | None]:
+    """The same in a process of its own: tables only."""
+    found = execute(task)
+    return {"rows": found.rows, "curves": found.curves, "kept": found.kept}
 
 
 class _Worlds:
@@ -110,52 +103,45 @@ class _Block:
     def run(self, positions: tuple[int, ...]) -> None:
         runs = tuple(self.task.runs[p] for p in positions)
         watch = _Keeper(self.setting, self.task, self.label, runs)
+        world = self.worlds.for_runs(runs)  # what is wrong with it is nobody's row
+        caught = _caught(self.task, self.label)
         try:
-            driven = self._drive(runs, watch)
+            driven = self._drive(runs, world, watch)
+            rows, curves = self._table(runs, driven), _curves(self.task, self.label, self.setting, driven)
+            kept = watch.tables(step_times(driven.world))
+            if driven.world.closed_loop:
+                kept += watch.extras(driven.world)
         except Infeasible as error:
-            self._failed(runs, Status.infeasible, str(error), "")
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:
+            self.rows.append(failed(self.task, self.label, runs, Status.infeasible, clean(error)))
+        except caught as error:
             if len(runs) > 1:
                 half = len(runs) // 2
                 self.run(positions[:half])
                 self.run(positions[half:])
             else:
-                text = "".join(traceback.format_exception_only(error)).strip()
-                self._failed(runs, Status.failed, text, traceback.format_exc())
+                text = clean("".join(traceback.format_exception_only(error)).strip())
+                self.rows.append(failed(self.task, self.label, runs, Status.failed, text,
+                                        clean(traceback.format_exc()[-TRACE:], TRACE)))
         else:
-            self.rows.append(self._table(runs, driven))
-            self.curves += _curves(self.task, self.label, self.setting, driven)
-            self.kept += watch.tables(step_times(driven.world))
-            if driven.world.closed_loop:
-                self.kept += watch.extras(driven.world)
+            self.rows.append(rows)
+            self.curves += curves
+            self.kept += kept
 
-    def _drive(self, runs: tuple[int, ...], watch: _Keeper) -> Driven:
+    def _drive(self, runs: tuple[int, ...], world: World, watch: _Keeper) -> Driven:
         cell = self.task.cell
         entry = cell.entries[self.label]
-        world = self.worlds.for_runs(runs)
-        estimator, model = prepare(self.setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
-                                   world.initial_mean)
+        estimator, model = prepare(self.setting, estimator_class(entry.plugin, self.label), entry.parameters,
+                                   entry.knowledge, world.initial_mean)
         estimator.design(model)
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
         _warm_up(self.setting, self.task, self.label, (runs[0], runs[-1]))
         return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None)
 
-    def _columns(self, runs: tuple[int, ...]) -> Columns:
-        n = len(runs)
-        return {"scenario": [self.task.cell.scenario] * n, "variant": [self.task.cell.variant] * n,
-                "estimator": [self.label] * n, "run": pa.array(runs, pa.int32())}
-
-    def _failed(self, runs: tuple[int, ...], status: Status, reason: str, trace: str) -> None:
-        n = len(runs)
-        self.rows.append(pa.table({**self._columns(runs), "status": [status.name] * n, "reason": [reason] * n,
-                                   "exception": [trace] * n, "seconds": np.zeros(n)}))
-
     def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
         units = {item.name: item.unit for item in self.setting.quantities()}
         scored = driven.scored
-        columns = {**self._columns(runs), "status": [Status(s).name for s in scored.status], "reason": scored.reasons,
+        columns = {**identity(self.task, self.label, runs), "status": [Status(s).name for s in scored.status],
+                   "reason": [clean(text) for text in scored.reasons],
                    "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
                    "steps": pa.array(driven.steps.astype(np.int32)),
                    "nees_states": pa.array([scored.nees_states] * len(runs), pa.int32())}
@@ -167,14 +153,9 @@ class _Block:
         return pa.table(columns)
 
 
-def failed_rows(task: Task, status: Status, reason: str) -> Result:
-    """Rows for runs whose process died or hung."""
-    n = len(task.runs)
-    tables = [pa.table({"scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n,
-                        "estimator": [label] * n, "run": pa.array(task.runs, pa.int32()), "status": [status.name] * n,
-                        "reason": [reason] * n, "exception": [""] * n, "seconds": np.zeros(n)})
-              for label in task.labels]
-    return Result(task, _join(tables), None, None)
+def _caught(task: Task, label: str) -> tuple[type[BaseException], ...]:
+    """What becomes a row: in a process of a plug-in's own, where nobody presses Ctrl-C, all that it raises."""
+    return (Exception, SystemExit) if own(task.cell, label) else (BaseException,)
 
 
 _warm: set[tuple[str, str]] = set()
@@ -189,9 +170,9 @@ def _warm_up(setting: Setting[Any], task: Task, label: str, runs: tuple[int, int
         return
     _warm.add(key)
     streams = Streams(task.seed, task.cell.scenario, task.cell.variant, runs)
-    with suppress(Exception, SystemExit):  # what goes wrong here goes wrong again where it counts
+    with suppress(*_caught(task, label)):  # what goes wrong here goes wrong again where it counts
         world = FirstSteps(setting.world(streams), 3)
-        estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+        estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
                                    world.initial_mean)
         estimator.design(model)
         drive(setting, world, estimator, model, streams("estimator", label))

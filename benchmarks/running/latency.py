@@ -5,46 +5,57 @@ rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ...estimators.registry import estimators, load_file
+from ...estimators.registry import estimator_class
 from ...scenarios.randomness import Streams
 from ..planning.plan import Cell, Plan, own
 from ..scoring.columns import TIMING
 from .drive import prepare
-from .isolation import Ended, Isolation, isolation
 from .loop import Loop, Observer
 
 WARM_UP, STEPS, SECONDS = 5, 400, 0.15
 
 
-def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float) -> pd.DataFrame:
+def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float, memory: int = 0) -> pd.DataFrame:
     """One line per cell and estimator, columns `TIMING`; NaN for estimators that cannot be designed, and for plug-ins
     that die or take longer than `timeout` seconds."""
-    with isolation(timeout) as process:
-        return pd.DataFrame(list(_lines(plan, rows, process)), columns=list(TIMING))
+    return pd.DataFrame(list(_lines(plan, rows, timeout, memory)), columns=list(TIMING))
 
 
-def _lines(plan: Plan, rows: pd.DataFrame, process: Isolation) -> Iterator[dict[str, Any]]:
+def _lines(plan: Plan, rows: pd.DataFrame, timeout: float, memory: int) -> Iterator[dict[str, Any]]:
     from threadpoolctl import threadpool_limits
 
     throughput = _throughput(rows)
     with threadpool_limits(1), np.errstate(all="ignore"):
         for cell in plan.cells:
             for label in cell.entries:
-                asked = (cell, label, plan.seed, plan.plugins)
-                found = measure(*asked) if own(cell, label) else process.call(measure, *asked)
-                design, latencies = (np.nan, np.array([])) if isinstance(found, Ended) else found
+                design, latencies = _measured(plan, cell, label, rows, timeout, memory)
                 yield {"scenario": cell.scenario, "variant": cell.variant, "estimator": label, "design_s": design,
                        "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
                        "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
                        "throughput_ns": throughput.get((cell.scenario, cell.variant, label), np.nan),
                        "sampling_period_s": cell.setting().sampling_period}
+
+
+def _measured(plan: Plan, cell: Cell, label: str, rows: pd.DataFrame, timeout: float,
+              memory: int) -> tuple[float, list[float]]:
+    """Design seconds and latencies; none of a plug-in that never finished a run."""
+    if own(cell, label):
+        return measure(cell, label, plan.seed)
+    mine = (rows["scenario"] == cell.scenario) & (rows["variant"] == cell.variant) & (rows["estimator"] == label)
+    if set(rows.loc[mine, "status"]) & {"ok", "diverged"}:
+        with plan.catalogue.process(cell.entries[label].plugin, timeout, memory) as process:
+            found = process.call(measure, cell, label, plan.seed)
+        with suppress(TypeError, ValueError):
+            return float(found[0]), [float(value) for value in found[1]]
+    return np.nan, []
 
 
 def _throughput(rows: pd.DataFrame) -> dict[Any, float]:
@@ -56,17 +67,15 @@ def _throughput(rows: pd.DataFrame) -> dict[Any, float]:
     return {key: 1e9 * float(part["seconds"].sum() / part["steps"].sum()) for key, part in grouped}
 
 
-def measure(cell: Cell, label: str, seed: int, plugins: Sequence[str] = ()) -> tuple[float, np.ndarray]:
+def measure(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
     """Design seconds and the seconds of each of up to `STEPS` steps of one run (prediction, update, estimate).
 
     The first steps, in which code is compiled or loaded, are left out; slow estimators are cut off by time."""
-    for path in plugins:
-        load_file(path)
     setting, entry = cell.setting(), cell.entries[label]
     streams = Streams(seed, cell.scenario, cell.variant, (0,))
     try:
         world = setting.world(streams)
-        estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
+        estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
                                    world.initial_mean)
         begun = perf_counter()
         info = estimator.design(model)
@@ -81,5 +90,5 @@ def measure(cell: Cell, label: str, seed: int, plugins: Sequence[str] = ()) -> t
             if k >= WARM_UP:
                 seconds.append(loop.seconds - before)
     except (Exception, SystemExit):  # the rows already tell what it raised
-        return np.nan, np.array([])
-    return design, np.array(seconds)
+        return np.nan, []
+    return design, seconds

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, model_validator
 
-from ...estimators.registry import estimators
 from ...scenarios.schema import Label, Name
+from ..planning.catalogue import Catalogue
 from ..planning.plan import Cell, EstimatorEntry, Plan
 
 SCHEMA = 2
@@ -162,11 +162,12 @@ def stored_cell(manifest: Mapping[str, Any], key: str, labels: Mapping[str, Any]
                 {label: EstimatorEntry.model_validate(saved["entries"][label]) for label in wanted})
 
 
-def stored_plan(manifest: Mapping[str, Any]) -> Plan:
-    """The plan a results folder was made from. Raises InputError."""
+def stored_plan(manifest: Mapping[str, Any], catalogue: Catalogue) -> Plan:
+    """The plan a results folder was made from. Nothing that the folder names is run: its estimators are those of the
+    catalogue. Raises InputError."""
     configuration = manifest["configuration"]
     return Plan(tuple(stored_cell(manifest, key) for key in configuration["cells"]), configuration["runs"],
-                configuration["seed"], configuration["keep"], tuple(manifest["replay"]["plugins"]))
+                configuration["seed"], configuration["keep"], catalogue)
 
 
 def description(plan: Plan) -> dict[str, Any]:
@@ -182,12 +183,12 @@ def description(plan: Plan) -> dict[str, Any]:
             "quantities": [item.name for item in setting.quantities()], "table": setting.table(), "variants": {}})
         about["variants"][cell.variant] = {"notes": setting.notes, "fitted": config.fitted, "title": config.title,
                                            "period": setting.sampling_period}
-    plugins = {entry.plugin: estimators()[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
+    plugins = {entry.plugin: plan.catalogue[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
     return {
         "scenarios": scenarios,
-        "estimators": {name: {"summary": cls.summary, "source": cls.source, "claims": cls.claims, "oracle": cls.oracle}
-                       for name, cls in plugins.items()},
-        "replay": {"plugins": plan.plugins, "cells": {
+        "estimators": {name: {"summary": one.summary, "source": one.source, "claims": one.claims, "oracle": one.oracle}
+                       for name, one in plugins.items()},
+        "replay": {"plugins": plan.catalogue.files, "cells": {
             cell.key: {"where": cell.where, "table": dict(cell.table),
                        "entries": {label: entry.model_dump() for label, entry in cell.entries.items()}}
             for cell in plan.cells}},

@@ -160,9 +160,9 @@ def test_what_an_estimator_raises_costs_only_its_run(railstate: Command) -> None
         mine, theirs = (frame.loc[("calm", label, run), "rmse:position:m"] for label in ("raises", "half"))
         assert mine == pytest.approx(theirs, rel=1e-7)  # their own streams differ by 1e-9 m
     assert "replay: railstate replay cart/calm/raises/3 --out out" in done.out
-    replayed = railstate("replay", "cart/calm/raises/3", "--out", "out")
+    replayed = railstate("replay", "cart/calm/raises/3", "--out", "out", "--plugin", "half.py")
     assert replayed.code == 0 and "run 3 is not for me" in replayed.out and "Traceback" in replayed.out
-    fine = railstate("replay", "cart/rough/half/6", "--out", "out")
+    fine = railstate("replay", "cart/rough/half/6", "--out", "out", "--plugin", "half.py")
     assert "bit-identical to the row in out" in fine.out
 
 
