@@ -57,8 +57,9 @@ def main() -> None:
             print(f"warning: {message}", file=sys.stderr)
 
     warnings.showwarning = warn
+    kept: list[int] = []
     try:
-        _end_on_sigterm()
+        kept = _end_on_sigterm()
         app()
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -76,11 +77,16 @@ def main() -> None:
         raise SystemExit(130) from None
     finally:
         end_idle()
+        for number in kept:
+            signal.signal(number, signal.SIG_DFL)
 
 
-def _end_on_sigterm() -> None:
-    """SIGTERM and a closed terminal end like Ctrl-C: everything started is ended, the line that continues is said."""
+def _end_on_sigterm() -> list[int]:
+    """SIGTERM and a closed terminal end like Ctrl-C: everything started is ended, the line that continues is said. The
+    signals that this is new to."""
+    found = []
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) == signal.SIG_DFL:
-                signal.signal(number, signal.default_int_handler)
+        found = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+        for number in found:
+            signal.signal(number, signal.default_int_handler)
+    return found

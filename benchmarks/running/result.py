@@ -61,10 +61,10 @@ def lost(task: Task, status: Status, reason: str) -> Result:
 
 def sound(task: Task, found: Any) -> Result | None:
     """What a process of its own sent back of a task (see `execute_apart`), if it has the form of a result."""
-    rows = found.get("rows") if isinstance(found, dict) else None
     columns = {**ROWS, **dict.fromkeys(COUNTS, pa.int32())}
-    if not isinstance(rows, pa.Table) or not _typed(rows, columns, len(ROWS)):
+    if not isinstance(found, dict) or not _typed(found.get("rows"), columns, len(ROWS)):
         return None
+    rows: pa.Table = found["rows"]
     extra = [name for name in rows.column_names if name not in ROWS and name not in COUNTS]
     if not all(name.count(":") == 2 and rows.schema.field(name).type == pa.float64() for name in extra):
         return None
@@ -76,7 +76,7 @@ def sound(task: Task, found: Any) -> Result | None:
         table = found.get(name)
         if table is None:
             continue
-        if not isinstance(table, pa.Table) or not _typed(table, columns, len(columns)):
+        if not _typed(table, columns, len(columns)):
             return None
         if not {*zip(*(table[key].to_pylist() for key in ("scenario", "variant", "estimator")), strict=True)} <= {
                 (task.cell.scenario, task.cell.variant, label) for label in (*task.labels, "")}:
@@ -84,8 +84,10 @@ def sound(task: Task, found: Any) -> Result | None:
     return Result(task, rows, found.get("curves"), found.get("kept"))
 
 
-def _typed(table: pa.Table, columns: dict[str, pa.DataType], needed: int) -> bool:
-    """Whether a table has the first `needed` of the columns, and all those it has are of their type and full."""
+def _typed(table: Any, columns: dict[str, pa.DataType], needed: int) -> bool:
+    """Whether this is a table with the first `needed` of the columns, full, and all those it has of their type."""
+    if not isinstance(table, pa.Table):
+        return False
     names = table.column_names
     return len(set(names)) == len(names) and set(list(columns)[:needed]) <= set(names) and all(
         table.schema.field(name).type == columns[name] for name in names if name in columns) and all(

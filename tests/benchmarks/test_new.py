@@ -31,7 +31,8 @@ def test_packages_work_in_a_fresh_environment(railstate: Command, tmp_path: Path
     for name in ("alpha-beta", "my-filter", "my-trolley", "kalman", "as-told rougher"):
         assert name in listed.stdout
     assert listed.stderr == ("warning: plug-in half-finished (railstate_external_unfinished:HalfFinished): does not "
-                             "import: ModuleNotFoundError: No module named 'a_library_nobody_has_installed': left out\n")
+                             "import: ModuleNotFoundError: No module named 'a_library_nobody_has_installed': left "
+                             "out\n")
 
     done = fresh.run("railstate", "run", "my-trolley", "--estimators", "alpha-beta,my-filter,kalman", "--runs", "20",
                      "--jobs", "1", "--out", "out")
