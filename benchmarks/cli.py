@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import warnings
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Annotated
 
@@ -57,7 +58,7 @@ def main() -> None:
             print(f"warning: {message}", file=sys.stderr)
 
     warnings.showwarning = warn
-    kept: list[int] = []
+    kept: Sequence[int] = ()
     try:
         kept = _end_on_sigterm()
         app()
@@ -81,7 +82,7 @@ def main() -> None:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _end_on_sigterm() -> list[int]:
+def _end_on_sigterm() -> Sequence[int]:
     """SIGTERM and a closed terminal end like Ctrl-C: everything started is ended, the line that continues is said. The
     signals that this is new to."""
     found = []
