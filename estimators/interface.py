@@ -77,9 +77,9 @@ def misshapen(estimate: Estimate, nx: int, runs: int, parameters: int) -> str | 
             continue
         if not isinstance(value, np.ndarray):
             return f"{name} is {type(value).__name__}, not an array"
-        if value.shape not in shapes or value.dtype.kind not in "fiu":
+        if value.shape not in shapes or (value.dtype != np.float64 and name != "diversity"):
             return (f"{name} has shape {value.shape}, type {value.dtype}; allowed for {nx} states and {runs} runs: "
-                    f"numbers of shape {' or '.join(map(str, reversed(shapes))) or 'none'}")
+                    f"float64 of shape {' or '.join(map(str, reversed(shapes))) or 'none'}")
     return None
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow as pa
 
 from ...estimators.interface import Estimate, Status
-from ...estimators.registry import estimator_class
-from ...scenarios.errors import Infeasible
+from ...estimators.registry import estimator_class, estimators
+from ...scenarios.errors import Infeasible, InputError
 from ...scenarios.randomness import Streams
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
@@ -114,6 +114,8 @@ class _Block:
         except Infeasible as error:
             self.rows.append(failed(self.task, self.label, runs, Status.infeasible, clean(error)))
         except caught as error:
+            if isinstance(error, InputError) and self.task.cell.entries[self.label].plugin in estimators():
+                raise
             if len(runs) > 1:
                 half = len(runs) // 2
                 self.run(positions[:half])

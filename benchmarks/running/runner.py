@@ -19,6 +19,7 @@ from typing import Any
 import pyarrow as pa
 
 from ...estimators.interface import Status
+from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
 from ..isolation.process import Ended, Isolation, isolation, nursery
 from ..planning.catalogue import plugin_process
@@ -252,7 +253,7 @@ def _narrowed(task: Task, process: Isolation, losses: _Losses) -> Iterator[Resul
     try:
         ended = process.call(execute_apart, task)
     except InputError as error:
-        if _own(task):
+        if task.cell.entries[task.labels[0]].plugin in estimators():
             raise
         ended = Ended(Status.failed, str(error))
     if not isinstance(ended, Ended):

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
 from ..planning.plan import Cell, Plan
 from .folder import Store
@@ -64,7 +63,7 @@ def grown(store: Store, plan: Plan, overwrite: bool = False) -> Growth:
         left_out = [label for label in stored["estimators"] if label not in cell.entries
                     and (cell.key, label) not in stale]
         along = left_out if moved or plan.runs > stored["runs"] else []
-        strangers = [label for label in along if stored["estimators"][label]["plugin"] not in estimators()]
+        strangers = [label for label in along if stored["estimators"][label]["plugin"] not in plan.catalogue.names()]
         if strangers:
             raise InputError(f"{store.folder}: {cell.key}/{strangers[0]} has to be computed along "
                              f"({'the code changed' if moved else 'all of a cell have the same runs'}) and is not "
