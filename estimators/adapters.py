@@ -123,17 +123,27 @@ class PerRun(Estimator):
         """The filter's mean, (nx,) or (nx, 1), and covariance (nx, nx) or None. As it stands: filter.x and filter.P."""
         return filter.x, filter.P if "covariance" in self.claims else None
 
+    def likelihood_run(self, filter: Any, y: Array, got: Indices) -> float | None:
+        """log p(y | what came before) of the update just made, for scores without a truth; None where not known."""
+        return None
+
     def predict(self, u: Array, interval: Interval) -> None:
         for run in np.flatnonzero(interval.moving(self.runs)).tolist():
             self._guard(run, self.predict_run, u[:, run], self.models[run].go(interval))
 
     def update(self, measurement: Measurement) -> Innovation | None:
         y, received = measurement.y, measurement.received
+        said: dict[int, float] = {}
         for run in np.flatnonzero(received.any(axis=0)).tolist():
             got = np.flatnonzero(received[:, run])
             self.models[run].take(measurement)
             self._guard(run, self.update_run, y[got, run], got)
-        return None
+            likelihood = self.likelihood_run(self.filters[run], y[got, run], got) if not self.status[run] else np.nan
+            if likelihood is not None:
+                said[run] = likelihood
+        if not said:
+            return None
+        return Innovation(log_likelihood=np.array([said.get(run, 0.0) for run in range(self.runs)]))
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

@@ -38,6 +38,8 @@ class ExtendedKalman(Estimator):
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(model.initial_covariance, dtype=float, order="C")
         self._failed = np.zeros(runs, dtype=bool)
+        self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))
+        self._shared_variance = np.zeros((model.ny, 1))
 
     def predict(self, u: Array, interval: Interval) -> None:
         model, x = self.model, self._mean
@@ -53,16 +55,17 @@ class ExtendedKalman(Estimator):
         model, x, (y, received, at, *_) = self.model, self._mean, measurement
         assert model.measurement_jacobian is not None and model.measurement_covariance is not None
         h = np.ascontiguousarray(model.measurement_jacobian(x, at))
-        r = model.measurement_covariance(measurement)
+        r = np.ascontiguousarray(model.measurement_covariance(measurement))
         predicted = np.ascontiguousarray(model.measurement(x, at))
         shared = self._covariance.shape[2] == 1 < self.runs
-        if shared and (h.shape[2] > 1 or _correlated(r) or (received != received[:, :1]).any()):
+        if shared and (h.shape[2] > 1 or r.shape[2] > 1 or _correlated(r) or (received != received[:, :1]).any()):
             self._expand()
             shared = False
         step = shared_kalman_update if shared else kalman_update
-        if step(x, self._covariance, y, predicted, received, h, r, self._failed):
+        variance = self._shared_variance if shared else self._variance
+        if step(x, self._covariance, y, predicted, received, h, r, self._residual, variance, self._failed):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return None
+        return Innovation(self._residual, variance)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

@@ -9,9 +9,17 @@ from numpy.typing import NDArray
 
 from ..scenarios.arrays import Array, Index
 from ..scenarios.errors import Unsupported
-from ..scenarios.model import Modes
+from ..scenarios.measurement import Measurement
+from ..scenarios.model import DesignModel, Modes
 
 VARIANCE_FLOOR = 1e-18  # variance added to claims: a particle cloud of one value may claim less than rounding errors
+
+
+def sensor_noise(model: DesignModel, measurement: Measurement) -> Array:
+    """R (ny, ny, S or 1) of a measurement for estimators that work on modes."""
+    assert model.modes is not None
+    R = model.modes.R[:, :, None] if model.measurement_covariance is None else model.measurement_covariance(measurement)
+    return np.ascontiguousarray(R, dtype=float)
 
 
 def known_states(modes: Modes, initial_covariance: Array) -> NDArray[np.bool_]:

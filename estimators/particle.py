@@ -14,7 +14,7 @@ from ..scenarios.measurement import Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Innovation, Parameters, Status, flag
-from .kernels.core import cholesky, factorise, forward, kernel
+from .kernels.core import HALF_LOG_TURN, cholesky, factorise, forward, kernel
 
 
 class BootstrapParticle(Estimator):
@@ -38,7 +38,7 @@ class BootstrapParticle(Estimator):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        self._random = random
+        self._random, self._log_likelihood = random, np.zeros(runs)
         self._failed = np.zeros(runs, dtype=bool)
         self._particles = np.repeat(model.initial_mean[:, None, :], self.parameters.particles, axis=1)
         everyone = np.ones(runs, dtype=bool)
@@ -64,12 +64,12 @@ class BootstrapParticle(Estimator):
         # Drawn whether used or not, but only where something arrived: other runs' events must not move a run's stream.
         told = np.asarray(received.any(axis=0), dtype=bool)
         offset = self._random.uniform(0.0, 1.0, which=told)
-        r = model.measurement_covariance(measurement)
-        if _weigh(images, y, received, r, self._logs, self._weights, self._failed):
+        r = np.ascontiguousarray(model.measurement_covariance(measurement))
+        if _weigh(images, y, received, r, self._logs, self._weights, self._log_likelihood, self._failed):
             flag(self, self._failed, Status.failed, "no particle has a finite likelihood")
         self._moments(told)
         _resample(self._particles, self._logs, self._weights, offset, self.parameters.resample_below)
-        return None
+        return Innovation(log_likelihood=self._log_likelihood)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)
@@ -125,18 +125,20 @@ def _weighted(particles, weights, mean, covariance):
 
 
 @kernel
-def _weigh(images, y, received, r, logs, weights, failed):
+def _weigh(images, y, received, r, logs, weights, log_likelihood, failed):
     """Add the log-likelihoods to logs (N, S), greatest log 0 in each run; weights (N, S) := exp(logs), normalised.
 
-    images (ny, N, S): measurements of the particles, overwritten. Where no particle's likelihood is finite, failed
-    (S,) is set and the weights are NaN. Returns how many runs failed here."""
+    images (ny, N, S): measurements of the particles, overwritten. r (ny, ny, S or 1). log_likelihood (S,) := log sum_i
+    w_i N(y; h(x_i), R) with the weights from before. Where no particle's likelihood is finite, failed (S,) is set and
+    the weights are NaN. Returns how many runs failed here."""
     ny, count, runs = images.shape
     masked, factor, inverse = np.empty((ny, ny, runs)), np.empty((ny, ny, runs)), np.empty((ny, runs))
     for j in range(ny):
         for k in range(ny):
             for s in range(runs):
                 both = received[j, s] and received[k, s]
-                masked[j, k, s] = r[j, k, 0] if both else (1.0 if j == k else 0.0)
+                value = r[j, k, 0] if r.shape[2] == 1 else r[j, k, s]
+                masked[j, k, s] = value if both else (1.0 if j == k else 0.0)
         for i in range(count):
             for s in range(runs):
                 images[j, i, s] = y[j, s] - images[j, i, s] if received[j, s] else 0.0
@@ -149,6 +151,12 @@ def _weigh(images, y, received, r, logs, weights, failed):
                 logs[i, s] -= 0.5 * images[j, i, s] * images[j, i, s]
     bad = 0
     for s in range(runs):
+        heaviest = 0.0
+        for i in range(count):
+            heaviest = max(heaviest, weights[i, s])
+        constant = np.log(heaviest)
+        for j in range(ny):
+            constant += np.log(inverse[j, s]) - HALF_LOG_TURN if received[j, s] else 0.0
         top = -np.inf
         for i in range(count):
             if np.isnan(logs[i, s]):
@@ -162,6 +170,7 @@ def _weigh(images, y, received, r, logs, weights, failed):
             total += weights[i, s]
         for i in range(count):
             weights[i, s] = np.nan if lost[s] else weights[i, s] / total
+        log_likelihood[s] = top + np.log(total) + constant
         failed[s] |= lost[s]
         bad += lost[s]
     return bad

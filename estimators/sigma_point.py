@@ -54,6 +54,7 @@ class SigmaPointKalman(Estimator):
         self._points = np.empty((n, len(self._weights_mean), runs))
         self._deviations = np.empty_like(self._points)
         self._failed = np.zeros(runs, dtype=bool)
+        self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))
         self._all = np.arange(runs)
         self._nothing = np.zeros((n, n, 1))
         self._unspread = self._nothing
@@ -80,11 +81,12 @@ class SigmaPointKalman(Estimator):
         images = np.ascontiguousarray(model.measurement(self._points, measurement.step))
         if unscented_update(self._mean, self._covariance, self._points, self._deviations, images, self._weights_mean,
                             self._weights_covariance, self._scale, measurement.y, measurement.received,
-                            model.measurement_covariance(measurement), self._unspread, self._failed):
+                            np.ascontiguousarray(model.measurement_covariance(measurement)), self._unspread,
+                            self._residual, self._variance, self._failed):
             flag(self, self._failed, Status.failed, NOT_DEFINITE)
         if self._unspread is not self._nothing:
             self._draw()
-        return None
+        return Innovation(self._residual, self._variance)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from railstate.estimators.interface import Estimate, Estimator
 from railstate.scenarios.measurement import Interval, Measurement, PerRun, told, untold
-from railstate.scenarios.model import DesignModel, Linear, linear_model
+from railstate.scenarios.model import Bounds, DesignModel, Linear, linear_model
 from railstate.scenarios.randomness import RunRandom
 
 Array = NDArray[np.float64]
@@ -53,6 +53,16 @@ def linear(runs: int, *, correlated: bool = False, nx: int = 3, ny: int = 2) -> 
         states=tuple(f"x{i}" for i in range(nx)), measurements=tuple(f"y{j}" for j in range(ny)), period=1.0,
         initial_mean=random(runs, "truth").normal(nx), initial_covariance=np.eye(nx)[:, :, None],
         performance=np.eye(nx))
+
+
+def still(runs: int) -> DesignModel:
+    """A number that does not move, N(0, 1), measured with variance 1; everything an estimator may need of it."""
+    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    parts = (one, np.zeros((1, 1)), np.zeros(1), one, zero, one)
+    return linear_model(
+        Linear(*(lambda k, matrix=matrix: matrix for matrix in parts)), states=("x",), measurements=("x",), period=1.0,
+        initial_mean=np.zeros((1, runs)), initial_covariance=np.ones((1, 1, 1)),
+        bounds=Bounds(zero, np.ones(1), np.full(1, np.inf)))
 
 
 def coasting(runs: int, *, correlated: bool = True) -> DesignModel:

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ...estimators.interface import Estimate, Estimator, misshapen
+from ...estimators.interface import Estimate, Estimator, Innovation, misshapen
 from ...scenarios.arrays import Array
+from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
+from ..scoring.innovations import InnovationScore
 from ..scoring.scorer import Scored, Scorer
 from ..scoring.windows import WindowErrors
 from .loop import Loop, Observer
@@ -45,6 +47,7 @@ class _Scoring(Observer):
         self.runs, self.nx, self.watch, self.seconds = world.initial_mean.shape[1], model.nx, watch, 0.0
         self.scorer = Scorer(setting.quantities(), self.runs, world.steps, self.skip, dict(score.divergence),
                              model.performance)
+        self.innovations = InnovationScore(self.runs, world.steps, self.skip)
         self.windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), self.runs)
         self.predicted_wanted = score.at == "prediction" and estimator.predicts
         self.updated_wanted = not self.predicted_wanted
@@ -60,6 +63,12 @@ class _Scoring(Observer):
         self.seconds += perf_counter() - begun
 
     updated = predicted
+
+    def measured(self, step: Step, measurement: Measurement, innovation: Innovation) -> None:
+        begun = perf_counter()
+        if measurement.step == step.number:  # a late one tells of its own step
+            self.innovations.add(self.k, step.active, measurement, innovation)
+        self.seconds += perf_counter() - begun
 
     def _checked(self, estimate: Estimate, step: Step) -> Estimate:
         """The same, after a look at its arrays where any has another shape than before. Raises TypeError."""
@@ -92,6 +101,8 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
     found = scoring.scorer.finish(estimator.status, estimator.reasons)
     bad = found.status != 0
+    found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})
+    found.curves["nis"], found.curves["nis-count"] = scoring.innovations.curve.T
     outcomes = {**scoring.windows.finish(), **setting.outcomes(world, found.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})

@@ -193,7 +193,7 @@ class FirstSteps:
 
 
 def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> list[pa.Table]:
-    """Sums over the runs per step, a table a quantity; NEES under the quantity name `nees`."""
+    """Sums over the runs per step, a table a quantity; NEES under the quantity name `nees`, NIS under `nis`."""
     curves, times = driven.scored.curves, step_times(driven.world)
     steps = np.flatnonzero(curves["active"] > 0)
     tables = []
@@ -205,6 +205,9 @@ def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> li
     if curves["nees-count"].any():
         zero = np.zeros(len(steps))
         tables.append(("nees", curves["nees-count"][steps], curves["nees"][steps], zero, zero))
+    if curves["nis-count"].any():
+        zero = np.zeros(len(steps))
+        tables.append(("nis", curves["nis-count"][steps], curves["nis"][steps], zero, zero))
     n = len(steps)
     return [pa.table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,

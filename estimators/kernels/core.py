@@ -11,6 +11,8 @@ from numba import njit
 # inf, as in NumPy, which keeps branches out of the inner loops.
 kernel = njit(cache=True, error_model="numpy")
 
+HALF_LOG_TURN = 0.5 * np.log(2 * np.pi)
+"""What each element takes off a Gaussian's log-density."""
 SMALLEST_PIVOT_RATIO = 1e-14
 """A pivot under this share of its diagonal entry counts as zero (a direction without uncertainty)."""
 INDEFINITE = 1e-9

@@ -33,17 +33,18 @@ def innovate(y, predicted, received, out, width):
 
 
 @kernel
-def _sequential(p, h, variance, received, gain, failed, width):
+def _sequential(p, h, variance, received, gain, spread, failed, width):
     """Covariance p (n, n, width) after measurements h (ny, n, width or 1) of uncorrelated noise, one after the other.
 
-    gain (n, ny, width): each scalar step's gain K = P h'/(h P h' + r), zero where not received. Joseph form
+    variance (ny, width or 1) of the noise; spread (ny, width): h P h' + r of each in turn. gain (n, ny, width): each
+    scalar step's gain K = P h'/(h P h' + r), zero where not received. Joseph form
     (I - K h) P (I - K h)' + K r K' = P - K (P h')' + e K' with e = r K - (P - K (P h')') h'; in exact arithmetic
     e = 0, in floating point it takes out the error of K to first order. failed is set where h P h' + r <= 0."""
     n = p.shape[0]
     product, total, error = np.empty((n, width)), np.empty(width), np.empty((n, width))
-    shared = h.shape[2] == 1
+    shared, own = h.shape[2] == 1, variance.shape[1] > 1
     for j in range(h.shape[0]):
-        r = variance[j]
+        r = variance[j, 0]
         for i in range(n):
             for s in range(width):
                 product[i, s] = 0.0
@@ -57,10 +58,12 @@ def _sequential(p, h, variance, received, gain, failed, width):
                     for s in range(width):
                         product[i, s] += weight * p[a, b, s]
         for s in range(width):
-            total[s] = r
+            total[s] = variance[j, s] if own else r
         for k in range(n):
             for s in range(width):
                 total[s] += (h[j, k, 0] if shared else h[j, k, s]) * product[k, s]
+        for s in range(width):
+            spread[j, s] = total[s]
         for s in range(width):
             got = received[j, s]
             good = total[s] > 0.0
@@ -70,7 +73,7 @@ def _sequential(p, h, variance, received, gain, failed, width):
             for s in range(width):
                 value = product[i, s] * total[s]
                 gain[i, j, s] = value
-                error[i, s] = r * value
+                error[i, s] = (variance[j, s] if own else r) * value
             for k in range(n):
                 a, b = max(i, k), min(i, k)
                 if not shared:
@@ -94,12 +97,11 @@ def _sequential(p, h, variance, received, gain, failed, width):
 def _shift(mean, innovation, h, gain, width):
     """mean (n, width) moved by the scalar steps of `_sequential`: dx += K_j (innovation_j - h_j dx), j = 0, 1, ..
 
-    h (ny, n, width or 1), gain (n, ny, width or 1)."""
+    h (ny, n, width or 1), gain (n, ny, width or 1). innovation (ny, width) becomes what is left of each in turn."""
     n = mean.shape[0]
-    change, left = np.zeros((n, width)), np.empty(width)
+    change = np.zeros((n, width))
     for j in range(h.shape[0]):
-        for s in range(width):
-            left[s] = innovation[j, s]
+        left = innovation[j]
         if j > 0:
             for k in range(n):
                 if h.shape[2] > 1:
@@ -123,19 +125,33 @@ def _shift(mean, innovation, h, gain, width):
 
 
 @kernel
-def _diagonal(r):
-    """Whether the noise covariance r (ny, ny, 1) is diagonal."""
+def _diagonal(r, s):
+    """Whether the noise covariance r (ny, ny, S) of run s is diagonal."""
     for i in range(r.shape[0]):
         for j in range(r.shape[1]):
-            if i != j and r[i, j, 0] != 0.0:
+            if i != j and r[i, j, s] != 0.0:
                 return False
     return True
 
 
 @kernel
+def _of_kind(index, r, diagonal):
+    """The runs of index whose noise covariance r (ny, ny, S or 1) is diagonal, or is not."""
+    if r.shape[2] == 1:
+        return index if _diagonal(r, 0) == diagonal else index[:0]
+    out, count = np.empty_like(index), 0
+    for s in index:
+        if _diagonal(r, s) == diagonal:
+            out[count] = s
+            count += 1
+    return out[:count]
+
+
+@kernel
 def _whiten(r, received, h, innovation, failed, width):
     """Decorrelate the noise of the received elements: h and innovation become L^-1 h, L^-1 innovation, with L L' = r
-    over the received elements, so that the noise left has unit covariance. Returns the new h (ny, n, width)."""
+    (ny, ny, width or 1) over the received elements, so that the noise left has unit covariance. Returns the new h (ny,
+    n, width) and one over L's diagonal (ny, width)."""
     ny, n = h.shape[0], h.shape[1]
     masked, factor, inverse = np.empty((ny, ny, width)), np.empty((ny, ny, width)), np.empty((ny, width))
     white, column = np.empty((ny, n, width)), np.empty((ny, 1, width))
@@ -144,7 +160,8 @@ def _whiten(r, received, h, innovation, failed, width):
             column[i, 0, s] = innovation[i, s]
         for j in range(ny):
             for s in range(width):
-                masked[i, j, s] = r[i, j, 0] if received[i, s] and received[j, s] else (1.0 if i == j else 0.0)
+                value = r[i, j, 0] if r.shape[2] == 1 else r[i, j, s]
+                masked[i, j, s] = value if received[i, s] and received[j, s] else (1.0 if i == j else 0.0)
         for k in range(n):
             for s in range(width):
                 value = h[i, k, 0] if h.shape[2] == 1 else h[i, k, s]
@@ -155,29 +172,41 @@ def _whiten(r, received, h, innovation, failed, width):
     for i in range(ny):
         for s in range(width):
             innovation[i, s] = column[i, 0, s]
-    return white
+    return white, inverse
 
 
 @kernel
-def kalman_update(mean, covariance, y, predicted, received, h, r, failed):
+def kalman_update(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
     """Kalman update in place of the runs that received something. Returns how many runs failed here.
 
     mean (nx, S), covariance (nx, nx, S), y and predicted = h(mean) (ny, S), received (ny, S) bool, h (ny, nx, S or 1),
-    r (ny, ny, 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over the
-    elements received. failed (S,) is set, and the run's numbers NaN, where an innovation variance is not positive."""
-    n, ny = mean.shape[0], y.shape[0]
-    diagonal = _diagonal(r)
-    variance = np.ones(ny)
-    if diagonal:
-        for j in range(ny):
-            variance[j] = r[j, j, 0]
+    r (ny, ny, S or 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over
+    the elements received. residual, variance (ny, S): the innovation of each element received, in turn. failed (S,) is
+    set, and the run's numbers NaN, where an innovation variance is not positive."""
     index = receivers(received)
+    bad = 0
+    for diagonal in (True, False):
+        part = _of_kind(index, r, diagonal)
+        if len(part):
+            bad += _update_kind(mean, covariance, y, predicted, received, h, r, residual, variance, failed, part,
+                                diagonal)
+    return bad
+
+
+@kernel
+def _update_kind(mean, covariance, y, predicted, received, h, r, residual, variance, failed, index, diagonal):
+    """`kalman_update` of the runs of index, whose noise is of one kind."""
+    n, ny, own = mean.shape[0], y.shape[0], r.shape[2] > 1
     wide = max(1, tile_width(n, len(index)))
+    noise, tile = np.ones((ny, wide if own and diagonal else 1)), np.empty((ny, ny, wide if own else 1))
+    if diagonal and not own:
+        for j in range(ny):
+            noise[j, 0] = r[j, j, 0]
     bad = 0
     x, p = np.empty((n, wide)), np.empty((n, n, wide))
     measured, guess, got = np.empty((ny, wide)), np.empty((ny, wide)), np.empty((ny, wide), np.bool_)
     jacobian, gain = np.empty((ny, n, 1 if h.shape[2] == 1 else wide)), np.empty((n, ny, wide))
-    innovation = np.zeros((ny, wide))
+    innovation, spread = np.zeros((ny, wide)), np.empty((ny, wide))
     for first in range(0, len(index), wide):
         width = min(wide, len(index) - first)
         part = index[first:first + width]
@@ -190,12 +219,23 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, failed):
         innovate(measured, guess, got, innovation, width)
         lost = np.zeros(width, np.bool_)
         if diagonal:
-            _sequential(p, jacobian, variance, got, gain, lost, width)
+            if own:
+                for j in range(ny):
+                    for s in range(width):
+                        noise[j, s] = r[j, j, part[s]]
+            _sequential(p, jacobian, noise, got, gain, spread, lost, width)
             _shift(x, innovation, jacobian, gain, width)
         else:
-            white = _whiten(r, got, jacobian, innovation, lost, width)
-            _sequential(p, white, variance, got, gain, lost, width)
+            gather3(r, part, width, tile)
+            white, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
+            _sequential(p, white, noise, got, gain, spread, lost, width)
             _shift(x, innovation, white, gain, width)
+            for j in range(ny):
+                for s in range(width):
+                    innovation[j, s] /= inverse[j, s]
+                    spread[j, s] /= inverse[j, s] * inverse[j, s]
+        scatter2(innovation, part, width, residual)
+        scatter2(spread, part, width, variance)
         scatter2(x, part, width, mean)
         scatter3(p, part, width, covariance)
         for s in range(width):
@@ -205,17 +245,17 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, failed):
 
 
 @kernel
-def shared_kalman_update(mean, covariance, y, predicted, received, h, r, failed):
+def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
     """`kalman_update` where every run received the same elements: covariance (nx, nx, 1) and h (ny, nx, 1) are shared,
-    r is diagonal, and the gains are computed once for all runs. Bit-identical to `kalman_update` on each run."""
+    r (ny, ny, 1) is diagonal, and the gains and variance (ny, 1) are computed once for all runs. Bit-identical to
+    `kalman_update` on each run."""
     n, ny, runs = mean.shape[0], y.shape[0], mean.shape[1]
-    variance, gain, innovation = np.empty(ny), np.empty((n, ny, 1)), np.empty((ny, runs))
-    lost = np.zeros(1, np.bool_)
+    noise, gain, lost = np.empty((ny, 1)), np.empty((n, ny, 1)), np.zeros(1, np.bool_)
     for j in range(ny):
-        variance[j] = r[j, j, 0]
-    _sequential(covariance, h, variance, received, gain, lost, 1)
-    innovate(y, predicted, received, innovation, runs)
-    _shift(mean, innovation, h, gain, runs)
+        noise[j, 0] = r[j, j, 0]
+    _sequential(covariance, h, noise, received, gain, variance, lost, 1)
+    innovate(y, predicted, received, residual, runs)
+    _shift(mean, residual, h, gain, runs)
     for s in range(runs):
         failed[s] |= lost[0]
     return runs if lost[0] else 0

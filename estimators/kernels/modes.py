@@ -7,19 +7,24 @@ from math import factorial, log
 import numpy as np
 from numba import njit
 
+from .core import HALF_LOG_TURN
+
 
 @njit(cache=True)
 def whitened(C, R, y, received):
-    """L^-1 C, L^-1 y of the received rows, L L' = R there: measurements to be used one at a time, variance 1 each."""
+    """L^-1 C, L^-1 y of the received rows, L L' = R there: measurements to be used one at a time, variance 1 each; and
+    the constant of their log-density, -log det L - r/2 log 2 pi."""
     rows = np.nonzero(received)[0]
     r, nx = len(rows), C.shape[1]
     L, Cw, yw = np.zeros((r, r)), np.empty((r, nx)), np.empty(r)
+    constant = 0.0
     for a in range(r):
         for b in range(a + 1):
             total = R[rows[a], rows[b]]
             for l in range(b):
                 total -= L[a, l] * L[b, l]
             L[a, b] = np.sqrt(total) if a == b else total / L[b, b]
+        constant -= np.log(L[a, a]) + HALF_LOG_TURN
         for j in range(nx):
             Cw[a, j] = C[rows[a], j]
             for l in range(a):
@@ -29,7 +34,7 @@ def whitened(C, R, y, received):
         for l in range(a):
             yw[a] -= L[a, l] * yw[l]
         yw[a] /= L[a, a]
-    return Cw, yw
+    return Cw, yw, constant
 
 
 @njit(cache=True)

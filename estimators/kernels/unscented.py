@@ -119,12 +119,13 @@ def unscented_predict(moved, index, weights_mean, weights_covariance, q, scale, 
 
 @kernel
 def unscented_update(mean, covariance, points, deviations, images, weights_mean, weights_covariance, scale, y, received,
-                     r, extra, failed):
+                     r, extra, residual, variance, failed):
     """Unscented update in place of the runs that received something, and fresh points. Returns how many runs failed.
 
-    images (ny, m, S): measurement of the points; deviations (nx, m, S): of the points from the mean; r (ny, ny, 1),
-    diagonal or not; extra (nx, nx, S or 1): the part of the covariance that the points do not spread (zero where they
-    were redrawn). K = Pxy S^-1 over the elements received; the covariance is the Joseph form of the transform,
+    images (ny, m, S): measurement of the points; deviations (nx, m, S): of the points from the mean; r (ny, ny, S or
+    1), diagonal or not; extra (nx, nx, S or 1): the part of the covariance that the points do not spread (zero where
+    they were redrawn). residual, variance (ny, S): the innovation of each element received, in turn. K = Pxy S^-1 over
+    the elements received; the covariance is the Joseph form of the transform,
     sum w (dx - K dy)(dx - K dy)' + extra + K r K', positive semidefinite for weights that are not negative."""
     n, m, ny = points.shape[0], points.shape[1], images.shape[0]
     index = receivers(received)
@@ -134,6 +135,7 @@ def unscented_update(mean, covariance, points, deviations, images, weights_mean,
     cloud, image, fresh = np.empty((n, m, wide)), np.empty((ny, m, wide)), np.empty((n, m, wide))
     spread, factor, inverse = np.empty((ny, ny, wide)), np.empty((ny, ny, wide)), np.empty((ny, wide))
     gain, noise = np.empty((ny, n, wide)), np.empty((n, n, 1 if extra.shape[2] == 1 else wide))
+    sensed, turn = np.empty((ny, ny, 1 if r.shape[2] == 1 else wide)), np.empty((ny, 1, wide))
     bad = 0
     for first in range(0, len(index), wide):
         width = min(wide, len(index) - first)
@@ -144,16 +146,27 @@ def unscented_update(mean, covariance, points, deviations, images, weights_mean,
         gather3(deviations, part, width, cloud)
         gather3(images, part, width, image)
         gather3(extra, part, width, noise)
+        gather3(r, part, width, sensed)
         lost = np.zeros(width, np.bool_)
         _moments(image, weights_mean, guess, width)
         innovate(measured, guess, got, innovation, width)
-        _mask_images(image, got, r, spread, width)
+        _mask_images(image, got, sensed, spread, width)
         _spread(image, weights_covariance, spread, width)
         factorise(spread, factor, inverse, lost, True, width)
         _cross(image, cloud, weights_covariance, gain, width)
         forward(factor, inverse, gain, width)
         backward(factor, inverse, gain, width)
-        _correct(x, cloud, p, gain, innovation, image, r, noise, width)
+        for j in range(ny):
+            for s in range(width):
+                turn[j, 0, s] = innovation[j, s]
+        forward(factor, inverse, turn, width)
+        for j in range(ny):
+            for s in range(width):
+                turn[j, 0, s] /= inverse[j, s]
+                guess[j, s] = 1.0 / (inverse[j, s] * inverse[j, s])
+        scatter2(turn[:, 0], part, width, residual)
+        scatter2(guess, part, width, variance)
+        _correct(x, cloud, p, gain, innovation, image, sensed, noise, width)
         _spread(cloud, weights_covariance, p, width)
         for a in range(n):
             for s in range(width):
@@ -172,15 +185,16 @@ def unscented_update(mean, covariance, points, deviations, images, weights_mean,
 
 @kernel
 def _mask_images(image, received, r, spread, width):
-    """Zero the deviations image (ny, m, width) of elements not received; spread (ny, ny, width) := r over the received
-    elements, 1 on the diagonal of the others, which so get no gain."""
+    """Zero the deviations image (ny, m, width) of elements not received; spread (ny, ny, width) := r (ny, ny, width or
+    1) over the received elements, 1 on the diagonal of the others, which so get no gain."""
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
             for s in range(width):
                 image[j, i, s] = image[j, i, s] if received[j, s] else 0.0
         for k in range(image.shape[0]):
             for s in range(width):
-                spread[j, k, s] = r[j, k, 0] if received[j, s] and received[k, s] else (1.0 if j == k else 0.0)
+                value = r[j, k, 0] if r.shape[2] == 1 else r[j, k, s]
+                spread[j, k, s] = value if received[j, s] and received[k, s] else (1.0 if j == k else 0.0)
 
 
 @kernel
@@ -213,6 +227,9 @@ def _correct(mean, cloud, covariance, gain, innovation, image, r, extra, width):
             for j in range(ny):
                 for k in range(ny):
                     weight = r[j, k, 0]
-                    if weight != 0.0:
+                    if r.shape[2] > 1:
+                        for s in range(width):
+                            covariance[a, b, s] += (r[j, k, s] * gain[j, a, s]) * gain[k, b, s]
+                    elif weight != 0.0:
                         for s in range(width):
                             covariance[a, b, s] += (weight * gain[j, a, s]) * gain[k, b, s]

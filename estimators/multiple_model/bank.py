@@ -11,18 +11,19 @@ from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel, Modes
 from ..interface import Estimate, Estimator, Innovation, Status, flag
 from ..kernels.modes import kalman_block, mixture, whitened
-from ..mode_grid import VARIANCE_FLOOR
+from ..mode_grid import VARIANCE_FLOOR, sensor_noise
 
 
 @njit(cache=True)
-def filters(A, drive, support, Q, C, R, x, P, logw, y, received, alive):
-    """Mode-matched Kalman filters: A (runs or 1, nx, nx, m), drive (S, nx, m); updates x, P, logw in place."""
+def filters(A, drive, support, Q, C, R, x, P, logw, y, received, alive, log_likelihood):
+    """Mode-matched Kalman filters: A (runs or 1, nx, nx, m), drive (S, nx, m), R (ny, ny, S or 1); updates x, P, logw
+    in place, and writes log_likelihood (S,), log p(y received | before)."""
     runs, m = logw.shape
     loglik = np.empty(m)
     for s in range(runs):
         if not alive[s]:
             continue
-        Cw, yw = whitened(C, R, y[s], received[s])
+        Cw, yw, constant = whitened(C, R[:, :, s if R.shape[2] > 1 else 0], y[s], received[s])
         kalman_block(A[s if A.shape[0] > 1 else 0], drive[s], support, Q, Cw, yw, x[s], P[s], loglik, m)
         top = -np.inf
         for j in range(m):
@@ -30,11 +31,12 @@ def filters(A, drive, support, Q, C, R, x, P, logw, y, received, alive):
             top = max(top, logw[s, j])
         if not np.isfinite(top):
             alive[s] = False
-            logw[s], x[s], P[s] = np.nan, np.nan, np.nan
+            logw[s], x[s], P[s], log_likelihood[s] = np.nan, np.nan, np.nan, np.nan
             continue
         total = 0.0
         for j in range(m):
             total += np.exp(logw[s, j] - top)
+        log_likelihood[s] = constant + top + np.log(total)
         for j in range(m):
             logw[s, j] -= top + np.log(total)
 
@@ -56,6 +58,7 @@ class ModeFilters(Estimator):
 
     needs = ("modes",)
     claims = ("parameter", "covariance")
+    honours = ("covariance",)
 
     def prepare(self, model: DesignModel, runs: int, modes: Modes, m: int) -> None:
         """Start m filters a run at the prior."""
@@ -66,7 +69,9 @@ class ModeFilters(Estimator):
         self.P[:] = model.initial_covariance[None]
         self.logw = np.full((runs, m), -np.log(m))
         self.mean, self.parameter, self.covariance = np.empty((nx, runs)), np.empty((1, runs)), np.empty((nx, nx, runs))
-        self.C, self.Q, self.R = (np.ascontiguousarray(part, dtype=float) for part in (modes.C, modes.Q, modes.R))
+        self.C, self.Q = (np.ascontiguousarray(part, dtype=float) for part in (modes.C, modes.Q))
+        self.R = np.ascontiguousarray(modes.R[:, :, None], dtype=float)
+        self.log_likelihood, self.unused = np.zeros(runs), np.zeros(runs)
         self.support = (modes.A != 0).any(axis=0)
         self.nothing = np.zeros((runs, model.ny)), np.zeros((runs, model.ny), dtype=bool)
         # With no measurement and time standing still `filters` leaves everything as it is.
@@ -74,15 +79,16 @@ class ModeFilters(Estimator):
 
     def advance(self, A: Array, drive: Array) -> None:
         """Predict with A (S or 1, nx, nx, m) and B u = drive (S, nx, m)."""
-        filters(A, drive, self.support, self.Q, self.C, self.R, self.x, self.P, self.logw, *self.nothing, self.alive)
+        filters(A, drive, self.support, self.Q, self.C, self.R, self.x, self.P, self.logw, *self.nothing, self.alive,
+                self.unused)
 
     def update(self, measurement: Measurement) -> Innovation | None:
         still = np.zeros_like(self.x)
-        filters(self.eye, still, np.eye(len(self.Q)) != 0, np.zeros_like(self.Q), self.C, self.R, self.x, self.P,
-                self.logw, np.ascontiguousarray(measurement.y.T), np.ascontiguousarray(measurement.received.T),
-                self.alive)
+        filters(self.eye, still, np.eye(len(self.Q)) != 0, np.zeros_like(self.Q), self.C,
+                sensor_noise(self.model, measurement), self.x, self.P, self.logw, np.ascontiguousarray(measurement.y.T),
+                np.ascontiguousarray(measurement.received.T), self.alive, self.log_likelihood)
         flag(self, ~self.alive, Status.failed, "all modes became impossible")
-        return None
+        return Innovation(log_likelihood=self.log_likelihood)
 
     def claim(self, states: NDArray[np.bool_], parameter: Array) -> Estimate:
         """The estimate, its covariance claimed up to the last of `states` (nx,)."""

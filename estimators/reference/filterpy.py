@@ -17,6 +17,7 @@ from filterpy.kalman import (
     spherical_radial_sigmas,
 )
 from pydantic import model_validator
+from scipy.stats import multivariate_normal
 
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Interval
@@ -27,14 +28,22 @@ from ..sigma_point import CubatureKalman, UnscentedKalman
 SOURCE = "filterpy, R. Labbe, https://github.com/rlabbe/filterpy"
 
 
-class FilterpyExtended(PerRun):
+class FilterpyFilter(PerRun):
+    """What the three share: the log-likelihood from filterpy's own innovation y and its covariance S."""
+
+    source = SOURCE
+    claims = ("covariance",)
+    honours = ("covariance",)
+
+    def likelihood_run(self, filter: Any, y: Array, got: Indices) -> float:
+        return float(multivariate_normal.logpdf(filter.y.ravel(), cov=filter.S))
+
+
+class FilterpyExtended(FilterpyFilter):
     """filterpy's EKF. It has no transition function: its covariance prediction is used, the mean is set to f(x, u)."""
 
     summary = "reference: filterpy's extended Kalman filter, one object per run"
-    source = SOURCE
     needs = ExtendedKalman.needs
-    claims = ("covariance",)
-    honours = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
         filter = ExtendedKalmanFilter(model.nx, model.ny)
@@ -51,7 +60,7 @@ class FilterpyExtended(PerRun):
         filter.update(y, lambda x: model.H(x)[got], lambda x: model.h(x)[got], R=model.R[np.ix_(got, got)])
 
 
-class FilterpyUnscented(PerRun):
+class FilterpyUnscented(FilterpyFilter):
     """filterpy's UKF with its van der Merwe or Julier points, which it redraws for the update.
 
     It draws them in predict alone, so a measurement without a step before it draws them here."""
@@ -65,10 +74,7 @@ class FilterpyUnscented(PerRun):
             return self
 
     summary = "reference: filterpy's unscented Kalman filter, one object per run"
-    source = SOURCE
     needs = UnscentedKalman.needs
-    claims = ("covariance",)
-    honours = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
         p, n = self.parameters, model.nx
@@ -92,16 +98,13 @@ class FilterpyUnscented(PerRun):
         filter.drawn = False
 
 
-class FilterpyCubature(PerRun):
+class FilterpyCubature(FilterpyFilter):
     """filterpy's CKF, with two repairs. It reuses the propagated points in its update, which do not carry Q: they are
     drawn anew before each update. It takes covariances as differences of squares, which loses digits far from the
     origin: the filter lives in coordinates around its latest estimate (`filter.centre`), its own x being zero."""
 
     summary = "reference: filterpy's cubature Kalman filter, points redrawn, one object per run"
-    source = SOURCE
     needs = CubatureKalman.needs
-    claims = ("covariance",)
-    honours = ("covariance",)
 
     def make(self, model: RunModel) -> Any:
         filter: Any = CubatureKalmanFilter(model.nx, model.ny, 1.0, model.h, model.f)

@@ -16,7 +16,7 @@ from ...scenarios.measurement import Interval, Measurement
 from ...scenarios.model import DesignModel, Modes, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
-from ..mode_grid import VARIANCE_FLOOR
+from ..mode_grid import VARIANCE_FLOOR, sensor_noise
 from . import factorised, full
 
 DRAWS = 256  # uniforms a run fetches at once, so that the call's cost is shared
@@ -43,6 +43,7 @@ class GridParticles(Estimator):
     source = "Zheng, Han, Kong, Wang, Promet 27(1), 2015"
     needs = ("modes",)
     claims = ("parameter", "covariance", "diversity")
+    honours = ("covariance",)
     optimal = False
     by_weight = False
     memoryless = False
@@ -109,7 +110,9 @@ class GridParticles(Estimator):
         self.kalman_updates = np.zeros(runs)
         self.pending = self.computed = False
         self.inputs, self.uniforms = np.zeros((runs, modes.B.shape[2])), np.zeros((runs, self.draws_per_step()))
-        self.nothing = np.zeros((runs, model.ny)), np.zeros((runs, model.ny), dtype=bool)
+        R = np.ascontiguousarray(modes.R[:, :, None], dtype=float)
+        self.nothing = np.zeros((runs, model.ny)), np.zeros((runs, model.ny), dtype=bool), R
+        self.log_sum = float(np.log(n))
 
     def _start_factorised(self, modes: Modes, variance: Array, x: Array, theta: Index, logw: Array) -> None:
         runs, capacity = theta.shape
@@ -122,7 +125,7 @@ class GridParticles(Estimator):
         self.cloud = factorised.Cloud(particles, theta, logw, np.repeat(variance[np.ix_(u, u)][None], runs, axis=0),
                                       np.ascontiguousarray(self.model.initial_mean[k].T), self.alive)
         self.out = factorised.Moments(np.empty((nu, runs)), np.empty((nk, runs)), np.empty((1, runs)),
-                                      np.empty((nu, nu, runs)), self.diversity)
+                                      np.empty((nu, nu, runs)), self.diversity, np.zeros(runs))
 
     def _start_full(self, modes: Modes, variance: Array, x: Array, theta: Index, logw: Array) -> None:
         runs, capacity = theta.shape
@@ -134,7 +137,7 @@ class GridParticles(Estimator):
         P[:] = variance[:, :, None]
         self.cloud = full.FullCloud(particles, P, theta, logw, self.alive)
         self.out = full.FullMoments(np.empty((nx, runs)), np.empty((1, runs)), np.empty((nx, nx, runs)),
-                                    self.diversity)
+                                    self.diversity, np.zeros(runs))
 
     def _draws(self) -> Array:
         """The step's uniforms, (S, d), in step for all runs whatever happens to them."""
@@ -145,17 +148,19 @@ class GridParticles(Estimator):
         self.used += 1
         return self.block[self.used - 1]
 
-    def _run(self, y: Array, received: Mask, commit: bool) -> None:
-        """The compiled step, with the prediction that is pending or at the same instant. y, received (S, ny)."""
+    def _run(self, y: Array, received: Mask, R: Array, commit: bool) -> None:
+        """The compiled step, with the prediction that is pending or at the same instant. y, received (S, ny), R (ny,
+        ny, S or 1)."""
         pending = self.pending
         children, prior = self.moving if pending else self.waiting
         optimal, g = self.optimal and pending, children.shape[1]
         keep = self.goes_on(self.n if optimal else self.n * g, g) if commit and pending else 0
         n = self.kernel(self.model_moving if pending else self.model_waiting, children, prior, self.cloud, self.n,
-                        self.inputs, y, received, self.uniforms, keep, self.by_weight, self.memoryless and pending,
+                        self.inputs, y, received, R, self.uniforms, keep, self.by_weight, self.memoryless and pending,
                         optimal, commit, self.out)
         if commit:
             self.n, self.pending = n, False
+            self.log_sum = float(np.log(n)) if keep else 0.0  # of the weights: equal after resampling, else normalised
         self.computed = True
         flag(self, ~self.alive, Status.failed, "the weights of all particles vanished")
 
@@ -170,8 +175,12 @@ class GridParticles(Estimator):
 
     def update(self, measurement: Measurement) -> Innovation | None:
         self.kalman_updates += self.n * (self.moving[0].shape[1] if self.pending else 1)
-        self._run(np.ascontiguousarray(measurement.y.T), np.ascontiguousarray(measurement.received.T), True)
-        return None
+        before = self.log_sum
+        self._run(np.ascontiguousarray(measurement.y.T), np.ascontiguousarray(measurement.received.T),
+                  sensor_noise(self.model, measurement), True)
+        if self.memoryless or self.by_weight:  # their weights are no posterior
+            return None
+        return Innovation(log_likelihood=self.out.log_likelihood - before)
 
     def estimate(self) -> Estimate:
         if not self.computed:

@@ -32,13 +32,15 @@ class Cloud(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """What a step hands out: mean (nu, S), known (nk, S), parameter (1, S), covariance (nu, nu, S), diversity (S,)."""
+    """What a step hands out: mean (nu, S), known (nk, S), parameter (1, S), covariance (nu, nu, S), diversity (S,),
+    log_likelihood (S,): log p(y received | before) plus the log sum of the weights from before."""
 
     mean: Array
     known: Array
     parameter: Array
     covariance: Array
     diversity: Array
+    log_likelihood: Array
 
 
 def factors_of(modes: Modes, initial_covariance: Array) -> Factors:
@@ -55,7 +57,7 @@ def factors_of(modes: Modes, initial_covariance: Array) -> Factors:
         raise Unsupported(f"form = \"factorised\" needs {modes.name} to act proportionally, and only through states "
                           "that are known exactly (initial variance 0, no process noise); use form = \"full\"")
     arrays = (A[0][np.ix_(u, u)], A0[np.ix_(u, k)], A1[np.ix_(u, k)], B0[u], B1[u], A[0][np.ix_(k, k)], B[0][k],
-              modes.C[:, u], modes.C[:, k], modes.Q[np.ix_(u, u)], modes.R, grid)
+              modes.C[:, u], modes.C[:, k], modes.Q[np.ix_(u, u)], grid)
     return Factors(*(np.ascontiguousarray(array, dtype=float) for array in arrays))
 
 
@@ -83,12 +85,12 @@ def _dot(a, b, n):
 @njit(cache=True)
 def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw):
     """Child values and log weights (n g,): log w' = before + log p(theta'|theta) - |z0 - M x - theta' q|^2 / 2, three
-    dot products per parent. work (3, n) is scratch."""
+    dot products per parent. work (3, n) is scratch. Returns what is left out, being the same for all children."""
     nu, g = len(x), children.shape[1]
     M = gain[3]
     z_i, square, pair_product = work[0], work[1], work[2]
     square[:], pair_product[:] = 0.0, 0.0
-    gamma = 0.0
+    gamma, common = 0.0, 0.0
     for a in range(len(M)):
         gamma += z[a, 1] * z[a, 1]
         z_i[:] = z[a, 0]
@@ -104,7 +106,9 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
             for i in range(n):
                 square[i] += z_i[i] * z_i[i]
                 pair_product[i] += z_i[i] * factor
-        elif not np.isfinite(z[a, 0]):
+        elif np.isfinite(z[a, 0]):
+            common -= 0.5 * z[a, 0] * z[a, 0]
+        else:
             square[:] = np.nan
     for i in range(n):
         base = before[i] - 0.5 * square[i]
@@ -113,6 +117,7 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
             v = model.grid[children[row, j]]
             value[i * g + j] = v
             logw[i * g + j] = base + log_prior[row, j] + v * (pair_product[i] - 0.5 * gamma * v)
+    return common
 
 
 @njit(cache=True)
@@ -160,13 +165,13 @@ def _moments(gain, e, x, w, value, picked, count, work, out, s):
 
 
 @njit(cache=True)
-def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_weight, memoryless, optimal, commit,
+def step(model, children, log_prior, cloud, n, u, y, received, R, draws, keep, by_weight, memoryless, optimal, commit,
          out):
     """Expand, weigh, estimate and (commit) select, for every run, with n particles each.
 
-    children, log_prior (m, g): grid indices theta' and log p(theta'|theta). u (S, inputs), y, received (S, ny), draws
-    (S, d): [0] for resampling, the others for the optimal proposal. keep: particles to select, 0 for all.
-    memoryless: weights (17), (18) without the parent's. commit = False: only `out`, the cloud stays as it is."""
+    children, log_prior (m, g): grid indices theta' and log p(theta'|theta). u (S, inputs), y, received (S, ny), R (ny,
+    ny, S or 1), draws (S, d): [0] for resampling, the others for the optimal proposal. keep: particles to select, 0 for
+    all. memoryless: weights (17), (18) without the parent's. commit = False: only `out`, the cloud stays as it is."""
     runs, nu, _ = cloud.x.shape
     g = children.shape[1]
     logw, w, value = np.empty(n * g), np.empty(n * g), np.empty(n * g)
@@ -177,29 +182,32 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
     x_new, theta_new = np.empty((nu, goes_on)), np.empty(goes_on, np.int64)
     seen = np.empty(len(model.grid), np.bool_)
     now, shift, e = np.empty(cloud.known.shape[1]), np.empty((nu, 2)), np.empty((nu, 2))
-    P_before, heard = cloud.P[0].copy(), received[0].copy()
-    gain = gain_of(model, P_before, heard)
+    P_before, heard, noise = cloud.P[0].copy(), received[0].copy(), R[:, :, 0].copy()
+    gain, constant = gain_of(model, P_before, heard, noise)
     for s in range(runs):
         if not cloud.alive[s]:
             continue
         # Runs with the same history of receptions have the same covariance: its gain is computed once for them all.
-        if not (np.array_equal(cloud.P[s], P_before) and np.array_equal(received[s], heard)):
+        if not (np.array_equal(cloud.P[s], P_before) and np.array_equal(received[s], heard)
+                and (R.shape[2] == 1 or np.array_equal(R[:, :, s], noise))):
             P_before[:], heard[:] = cloud.P[s], received[s]
-            gain = gain_of(model, P_before, heard)
+            noise[:] = R[:, :, s if R.shape[2] > 1 else 0]
+            gain, constant = gain_of(model, P_before, heard, noise)
         x, theta, G = cloud.x[s], cloud.theta[s], gain[5]  # whole rows: contiguous, so that loops vectorise
         z = np.empty((len(gain[0]), 2))
         innovation(model, gain, cloud.known[s], u[s], y[s], now, shift, z, e)
         if not memoryless:
             before[:] = cloud.logw[s, :n]
-        _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw)
+        common = _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw)
         if optimal:
             collapse(logw, n, g, draws[s], picked, w)
         total = normalise(logw, count, w)
         if np.isnan(total):
             cloud.alive[s] = False
             out.mean[:, s], out.known[:, s], out.parameter[0, s] = np.nan, np.nan, np.nan
-            out.covariance[:, :, s], out.diversity[s] = np.nan, np.nan
+            out.covariance[:, :, s], out.diversity[s], out.log_likelihood[s] = np.nan, np.nan, np.nan
             continue
+        out.log_likelihood[s] = total + common + constant
         _moments(gain, e, x, w, value, picked, count, work, out, s)
         out.known[:, s] = now
         if not commit:

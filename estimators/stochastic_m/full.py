@@ -25,7 +25,6 @@ class FullModes(NamedTuple):
     B: Array
     C: Array
     Q: Array
-    R: Array
     grid: Array
     support: NDArray[np.bool_]
 
@@ -42,18 +41,20 @@ class FullCloud(NamedTuple):
 
 
 class FullMoments(NamedTuple):
-    """What a step hands out: mean (nx, S), parameter (1, S), covariance (nx, nx, S), diversity (S,)."""
+    """What a step hands out: mean (nx, S), parameter (1, S), covariance (nx, nx, S), diversity (S,);
+    log_likelihood (S,) as in `factorised.Moments`."""
 
     mean: Array
     parameter: Array
     covariance: Array
     diversity: Array
+    log_likelihood: Array
 
 
 def full_modes(modes: Modes) -> FullModes:
     """The modes as the kernels take them."""
-    A, B, C, Q, R = (np.ascontiguousarray(part, dtype=float) for part in (modes.A, modes.B, modes.C, modes.Q, modes.R))
-    return FullModes(A, B, C, Q, R, np.ascontiguousarray(modes.grid, dtype=float), (A != 0).any(axis=0))
+    A, B, C, Q = (np.ascontiguousarray(part, dtype=float) for part in (modes.A, modes.B, modes.C, modes.Q))
+    return FullModes(A, B, C, Q, np.ascontiguousarray(modes.grid, dtype=float), (A != 0).any(axis=0))
 
 
 def still(modes: FullModes) -> FullModes:
@@ -64,7 +65,7 @@ def still(modes: FullModes) -> FullModes:
 
 
 @njit(cache=True)
-def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_weight, memoryless, optimal, commit,
+def step(model, children, log_prior, cloud, n, u, y, received, R, draws, keep, by_weight, memoryless, optimal, commit,
          out):
     """As `factorised.step`, with a Kalman filter per child."""
     runs, nx, _ = cloud.x.shape
@@ -82,7 +83,7 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
     for s in range(runs):
         if not cloud.alive[s]:
             continue
-        Cw, yw = whitened(model.C, model.R, y[s], received[s])
+        Cw, yw, constant = whitened(model.C, R[:, :, s if R.shape[2] > 1 else 0], y[s], received[s])
         for m in range(len(model.grid)):
             for i in range(nx):
                 Bu[m, i] = 0.0
@@ -119,8 +120,9 @@ def step(model, children, log_prior, cloud, n, u, y, received, draws, keep, by_w
         if np.isnan(total):
             cloud.alive[s] = False
             out.mean[:, s], out.parameter[0, s] = np.nan, np.nan
-            out.covariance[:, :, s], out.diversity[s] = np.nan, np.nan
+            out.covariance[:, :, s], out.diversity[s], out.log_likelihood[s] = np.nan, np.nan, np.nan
             continue
+        out.log_likelihood[s] = total + constant
         out.parameter[0, s] = mixture(w, count, value, x, P, mean, covariance)
         out.mean[:, s], out.covariance[:, :, s] = mean, covariance
         if not commit:

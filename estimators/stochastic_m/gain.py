@@ -10,11 +10,12 @@ import numpy as np
 from numba import njit
 
 from ...scenarios.arrays import Array
+from ..kernels.core import HALF_LOG_TURN
 
 
 class Factors(NamedTuple):
     """x_u(k+1) = F x_u + (D0 + theta D1) x_k + (B0 + theta B1) u + noise Q, x_k(k+1) = Ak x_k + Bk u exactly;
-    y = C x_u + Ck x_k + noise R. u: uncertain states, k: known ones. grid (m,)."""
+    y = C x_u + Ck x_k + noise. u: uncertain states, k: known ones. grid (m,)."""
 
     F: Array
     D0: Array
@@ -26,7 +27,6 @@ class Factors(NamedTuple):
     C: Array
     Ck: Array
     Q: Array
-    R: Array
     grid: Array
 
 
@@ -62,25 +62,27 @@ def _solve_lower(L, b):
 
 
 @njit(cache=True)
-def gain_of(model, P, received):
+def gain_of(model, P, received, R):
     """What depends on neither data nor input: received rows, L with L L' = S, M = L^-1 C F, the gain W = P C' L^-T of
-    whitened innovations, G = (1 - K C) F, and the posterior covariance."""
+    whitened innovations, G = (1 - K C) F, and the posterior covariance; and -log det L - r/2 log 2 pi. R (ny, ny)."""
     rows = np.nonzero(received)[0]
     P = pair_product(pair_product(model.F, P, False), model.F, True) + model.Q
     C = model.C[rows]
     CP = pair_product(C, P, False)
     L = pair_product(CP, C, True)
+    constant = 0.0
     for a in range(len(rows)):
         for b in range(a + 1):
-            total = L[a, b] + model.R[rows[a], rows[b]]
+            total = L[a, b] + R[rows[a], rows[b]]
             for l in range(b):
                 total -= L[a, l] * L[b, l]
             L[a, b] = np.sqrt(total) if a == b else total / L[b, b]
+        constant -= np.log(L[a, a]) + HALF_LOG_TURN
     M = pair_product(C, model.F, False)
     _solve_lower(L, M)
     _solve_lower(L, CP)
     W = np.ascontiguousarray(CP.T)
-    return rows, C, L, M, W, model.F - pair_product(W, M, False), P - pair_product(W, W, True)
+    return (rows, C, L, M, W, model.F - pair_product(W, M, False), P - pair_product(W, W, True)), constant
 
 
 @njit(cache=True)

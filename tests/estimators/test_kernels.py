@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from railstate.estimators.kernels import core as kernels
 from railstate.estimators.kernels.kalman import kalman_update, shared_kalman_update
 from railstate.scenarios.model import product
+from scipy.stats import multivariate_normal, norm
 
 Array = NDArray[np.float64]
 SIZES = [1, 2, 3, 7]
@@ -111,24 +112,32 @@ def test_bits_do_not_depend_on_the_batch(width: int) -> None:
 
 
 @pytest.mark.parametrize("shared_h", [True, False])
-@pytest.mark.parametrize("correlated", [True, False])
-def test_kalman_update_is_the_conditional_gaussian(shared_h: bool, correlated: bool) -> None:
+@pytest.mark.parametrize("noise", ["correlated", "diagonal", "per run", "some runs correlated"])
+def test_kalman_update_is_the_conditional_gaussian(shared_h: bool, noise: str) -> None:
+    """And what it hands out in turn has the log-likelihood of the whole."""
     n, ny = 4, 3
     x, p, y, h = draw(n, RUNS), positive(n), draw(ny, RUNS), draw(ny, n, 1 if shared_h else RUNS)
-    r = positive(ny, 1) if correlated else np.diag([0.5, 1.0, 2.0])[:, :, None].copy()
+    r = {"correlated": positive(ny, 1), "per run": positive(ny)}.get(noise, np.diag([0.5, 1.0, 2.0])[:, :, None].copy())
+    if noise == "some runs correlated":
+        r = np.where(np.arange(RUNS) % 3 == 0, positive(ny), r * (1 + np.arange(RUNS)))
     received = np.random.default_rng(3).uniform(size=(ny, RUNS)) < 0.6
     guess = each(np.matmul, h, x)
 
-    def textbook(x: Array, p: Array, y: Array, h: Array, got: Array) -> Array:
-        h, y, s = h[got], y[got], r[np.ix_(got, got)][:, :, 0]
-        gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + s)
-        return np.hstack([(x + gain @ (y - h @ x))[:, None], p - gain @ h @ p])
+    def textbook(x: Array, p: Array, y: Array, h: Array, got: Array, r: Array) -> Array:
+        h, y, s = h[got], y[got], r[np.ix_(got, got)]
+        spread = h @ p @ h.T + s
+        gain = p @ h.T @ np.linalg.inv(spread)
+        logp = multivariate_normal(h @ x, spread).logpdf(y) if got.any() else 0.0
+        return np.hstack([(x + gain @ (y - h @ x))[:, None], p - gain @ h @ p, np.full((n, 1), logp)])
 
-    expected = each(textbook, x, p, y, h, received)
-    failed = np.zeros(RUNS, dtype=bool)
-    assert kalman_update(x, p, np.where(received, y, np.nan), guess, received, h, r, failed) == 0
+    expected = each(textbook, x, p, y, h, received, np.broadcast_to(r, (ny, ny, RUNS)))
+    failed, residual, variance = np.zeros(RUNS, dtype=bool), np.full((ny, RUNS), np.nan), np.full((ny, RUNS), np.nan)
+    seen = np.where(received, y, np.nan)
+    assert kalman_update(x, p, seen, guess, received, h, r, residual, variance, failed) == 0
     np.testing.assert_allclose(x, expected[:, 0], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(p, expected[:, 1:], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(p, expected[:, 1:-1], rtol=1e-9, atol=1e-9)
+    logs = np.where(received, norm(0.0, np.sqrt(np.where(received, variance, 1.0))).logpdf(residual), 0.0)
+    np.testing.assert_allclose(logs.sum(axis=0), expected[0, -1], rtol=1e-10, atol=1e-10)
 
 
 def test_shared_update_has_the_bits_of_the_other() -> None:
@@ -137,8 +146,9 @@ def test_shared_update_has_the_bits_of_the_other() -> None:
     received = np.repeat([[True], [False], [True]], RUNS, axis=1)
     y[1], r, failed = np.nan, np.diag([0.5, 1.0, 2.0])[:, :, None].copy(), np.zeros(RUNS, dtype=bool)
     guess, other, p = each(np.matmul, h, x), x.copy(), np.repeat(one, RUNS, axis=2)
-    kalman_update(x, p, y, guess, received, h, r, failed)
-    shared_kalman_update(other, one, y, guess, received, h, r, failed)
+    residual, variance, left, spread = np.zeros((4, ny, RUNS))
+    kalman_update(x, p, y, guess, received, h, r, residual, variance, failed)
+    shared_kalman_update(other, one, y, guess, received, h, r, left, spread[:, :1].copy(), failed)
     np.testing.assert_array_equal(x, other)
     np.testing.assert_array_equal(p, np.broadcast_to(one, p.shape))
 
@@ -149,7 +159,8 @@ def test_a_negative_innovation_variance_is_a_failure_where_it_is_received() -> N
     x, failed = np.zeros((2, 3)), np.zeros(3, dtype=bool)
     received = np.array([[True, True, False], [False, False, False]])
     h, r = np.eye(2)[:, :, None].copy(), 0.5 * np.eye(2)[:, :, None]
-    assert kalman_update(x, p, np.ones((2, 3)), x.copy(), received, h, r, failed) == 1
+    told = np.zeros((2, 2, 3))
+    assert kalman_update(x, p, np.ones((2, 3)), x.copy(), received, h, r, *told, failed) == 1
     assert failed.tolist() == [False, True, False]
     np.testing.assert_allclose(x[:, 0], [2 / 3, 0.0])
     assert np.isnan(x[:, 1]).all() and np.isnan(p[:, :, 1]).all()

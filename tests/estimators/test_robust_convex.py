@@ -58,8 +58,8 @@ def compiled(form: str, p: dict[str, Any], mu: float = FREE) -> tuple[np.ndarray
     if form == "F1":
         memoryless_step(moved, A, p["M"], p["N"], one, g, p["v"], C, received, mu, K, P, objective, stability, verdict)
         return K[:, :, 0], P[:, :, 0], float(objective[0]), int(verdict[0])
-    recursive_step(Pi, moved, A, p["M"], p["N"], one, g, C, np.diag(p["v"] ** 2)[:, :, None], received, form == "F2", K, P,
-                   stability, verdict)
+    R = np.diag(p["v"] ** 2)[:, :, None]
+    recursive_step(Pi, moved, A, p["M"], p["N"], one, g, C, R, received, form == "F2", K, P, stability, verdict)
     return K[:, :, 0], P[:, :, 0], float(np.trace(P[:, :, 0])), int(verdict[0])
 
 

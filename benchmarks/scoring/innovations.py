@@ -1,0 +1,112 @@
+"""What innovations say of an estimator without any truth: NIS, whiteness, log-likelihood, per run and over time.
+
+Estimators hand innovations out in turn (uncorrelated), so nothing here forms or inverts an innovation covariance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...estimators.interface import Innovation
+from ...estimators.kernels.core import HALF_LOG_TURN, kernel
+from ...scenarios.arrays import Array, Mask
+from ...scenarios.measurement import Measurement
+
+Z = 1.959963984540054
+"""97.5 % quantile of the standard normal distribution."""
+
+
+class Span(NamedTuple):
+    """A two-sided interval."""
+
+    low: float
+    high: float
+
+
+def nis_interval(elements: float, level: float = 0.95) -> Span:
+    """Where the mean NIS per element lies with this probability if the filter is right: chi-square of so many degrees
+    of freedom, over their number (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
+    from scipy.stats import chi2
+
+    low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], elements) / elements
+    return Span(float(low), float(high))
+
+
+def whiteness_interval(pairs: float) -> Span:
+    """Where the lag-1 autocorrelation of that many pairs of white innovations lies with 95 % probability."""
+    return Span(-Z / float(np.sqrt(pairs)), Z / float(np.sqrt(pairs)))
+
+
+class InnovationScore:
+    """Accumulates what one estimator's innovations say over a batch of S runs.
+
+    curve (K, 2): sums over runs of NIS and of elements received, per step."""
+
+    def __init__(self, runs: int, steps: int, skip_steps: int) -> None:
+        self.runs, self.skip, self.curve = runs, skip_steps, np.zeros((steps, 2))
+        self.nis, self.likelihood, self.lag, self.square = np.zeros((4, runs))
+        self.elements, self.likely, self.pairs = np.zeros((3, runs))
+        self.before: Array = np.zeros((0, runs))
+        self.told: set[str] = set()
+
+    def add(self, k: int, active: Mask, measurement: Measurement, innovation: Innovation) -> None:
+        """Take up the innovation of a measurement that was received in step k; runs not active (S,) do not count."""
+        if k < self.skip:
+            return
+        residual, variance, said = innovation
+        if residual is not None and variance is not None:
+            if len(self.before) != len(residual):
+                self.before = np.full(residual.shape, np.nan)
+            add_innovation(residual, variance, measurement.received, active, self.before, self.nis, self.elements,
+                           self.likelihood, self.likely, self.lag, self.square, self.pairs, self.curve[k], said is None)
+            self.told.update(("nis", "log-likelihood") if said is None else ("nis",))
+        if said is not None:
+            got = measurement.received & active
+            count = got.sum(axis=0)
+            use = (count > 0) & ~np.isnan(said)
+            self.likelihood += np.where(use, said, 0.0)
+            self.likely += np.where(use, count, 0)
+            self.told.add("log-likelihood")
+
+    def finish(self) -> dict[tuple[str, str], Array]:
+        """The metrics per run (S,), see `columns.py`; NaN where a run received nothing."""
+        out: dict[tuple[str, str], Array] = {}
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if "nis" in self.told:
+                out["nis", "innovation"] = self.nis / self.elements
+                out["elements", "innovation"] = self.elements.copy()
+                out["whiteness", "innovation"] = self.lag / self.square
+                out["pairs", "innovation"] = self.pairs.copy()
+            if "log-likelihood" in self.told:
+                out["log-likelihood", "innovation"] = self.likelihood / self.likely
+        return out
+
+
+@kernel
+def add_innovation(residual, variance, received, active, before, nis, elements, likelihood, likely, lag, square, pairs,
+                   curve, logarithms):
+    """Take up residual (ny, S), variance (ny, S or 1) where received (ny, S) and active (S,).
+
+    nis, elements, likelihood, likely, lag, square, pairs (S,); before (ny, S): each element's last standardised
+    residual, NaN before there is one. lag sums its products with the next, square its squares there. curve (2,): NIS
+    and elements over all runs."""
+    shared = variance.shape[1] == 1
+    for j in range(residual.shape[0]):
+        for s in range(residual.shape[1]):
+            if received[j, s] and active[s]:
+                v = variance[j, 0 if shared else s]
+                z = residual[j, s] / np.sqrt(v)
+                nis[s] += z * z
+                elements[s] += 1.0
+                curve[0] += z * z
+                curve[1] += 1.0
+                if logarithms:
+                    likelihood[s] -= 0.5 * (z * z + np.log(v)) + HALF_LOG_TURN
+                    likely[s] += 1.0
+                last = before[j, s]
+                if last == last:
+                    lag[s] += z * last
+                    square[s] += 0.5 * (z * z + last * last)
+                    pairs[s] += 1.0
+                before[j, s] = z
