@@ -12,7 +12,7 @@ from ...estimators.interface import Estimator
 from ...scenarios.errors import Infeasible, InputError, describe
 from ...scenarios.model import DesignModel
 from .rules import RULES
-from .tapes import scenario_case, small_case
+from .tapes import scenario_case, small_case, telling_case
 from .trial import DoesNotApply, Trial, feed, raised
 
 
@@ -58,7 +58,8 @@ def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], sc
         report.findings.append(Finding("runs", "the class", "it can be made from its parameters", raised(error),
                                        "let __init__(self, parameters=None) call super().__init__(parameters)"))
         return report
-    cases = [small_case(parameters), *([found] if found else [])]
+    telling = [telling_case(parameters)] if "covariance" in cls.honours else []
+    cases = [small_case(parameters), *telling, *([found] if found else [])]
     if not found:
         report.left_out["scenarios"] = "no built-in scenario gives what it needs"
     for case in cases:
@@ -89,7 +90,7 @@ def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], sc
                 report.findings.append(Finding(rule.name, case.name, rule.expected, happened, rule.mend))
                 if rule is RULES[0]:
                     break  # without the right shapes the other rules say nothing
-    if len(report.left_out) == 2:
+    if not report.kept and not report.findings:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in report.left_out.items())
         report.findings.append(Finding("runs", "all", "a design model it works with", reasons,
                                        "name a scenario that gives what it needs (--scenario), or parameters that fit "

@@ -163,6 +163,23 @@ def small_case(parameters: Mapping[str, Any]) -> Case:
     return Case("small model", with_gaps(tape, streams), small_model, streams, parameters, exact_parts=True)
 
 
+def telling_case(parameters: Mapping[str, Any]) -> Case:
+    """The small model's tape with sensors that tell how good each reading is: some runs, some readings, some with
+    correlated errors."""
+    case = small_case(parameters)
+    draw, n = Streams(1, "conformance", "telling", RUNS)("accuracy"), len(RUNS)
+    said: list[Array | None] = []
+    for e in range(STEPS):
+        factor, correlation, which = draw.uniform(0.3, 3.0, 2), draw.uniform(-0.8, 0.8), draw.uniform(0.0, 1.0, 2)
+        deviation = factor * np.array([[POSITION_SD], [SPEED_SD]])
+        R = deviation[:, None] * deviation[None, :] * np.where(np.eye(2, dtype=bool)[..., None], 1.0,
+                                                               np.where(np.arange(n) % 2, correlation, 0.0))
+        tells = which < 0.6
+        said.append(None if e % 5 == 0 else np.where(tells[:, None] & tells[None, :], R, np.nan))
+    return replace(case, name="telling model", tape=replace(case.tape, covariances=tuple(said)),
+                   model=lambda mean: replace(small_model(mean), tells=("position", "speed")))
+
+
 # -- scenarios -------------------------------------------------------------------------------------------------------
 def scenario_case(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], wanted: str = "") -> Case | None:
     """The case of a scenario: the one wanted (NAME or NAME/VARIANT), else the first that lists the plug-in, else the

@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...estimators.interface import Estimate, Estimator
+from ...estimators.interface import Estimate, Estimator, Innovation
 from ...scenarios.arrays import Array
+from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
 from ...scenarios.world import Step
@@ -27,16 +28,19 @@ CLAIMS = tuple(item.name for item in fields(Estimate))
 @dataclass(frozen=True)
 class Record:
     """What an estimator said while a tape was fed: its estimate at the start and after each prediction and update (in
-    words: `when`), and status (S,), reasons at the end."""
+    words: `when`), and status (S,), reasons at the end. innovations by when, NaN where nothing was received."""
 
     estimates: list[Estimate]
     when: list[str]
     status: NDArray[np.int8]
     reasons: dict[int, str]
+    innovations: dict[str, Innovation] = field(default_factory=dict)
 
     def first(self, events: int) -> Record:
         """The part before the end of `events` events."""
-        return Record(self.estimates[:1 + 2 * events], self.when[:1 + 2 * events], self.status, self.reasons)
+        when = self.when[:1 + 2 * events]
+        return Record(self.estimates[:1 + 2 * events], when, self.status, self.reasons,
+                      {name: value for name, value in self.innovations.items() if name in when})
 
     def of(self, which: list[int]) -> Record:
         """The part of some runs."""
@@ -45,7 +49,8 @@ class Record:
 
         return Record([Estimate(*(take(getattr(e, name)) for name in CLAIMS)) for e in self.estimates],  # pyright: ignore
                       self.when, self.status[which], {place: self.reasons[run] for place, run in enumerate(which)
-                                                      if run in self.reasons})
+                                                      if run in self.reasons},
+                      {when: Innovation(*map(take, said)) for when, said in self.innovations.items()})
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,14 @@ class _Recorder(Observer):
 
     def __init__(self, first: Estimate) -> None:
         self.estimates, self.when, self.event = [_copied(first)], ["at the start"], 0
+        self.innovations: dict[str, Innovation] = {}
+
+    def measured(self, step: Step, measurement: Measurement, innovation: Innovation) -> None:
+        got, (residual, variance, said) = measurement.received, innovation
+        self.innovations[f"after the measurement of event {self.event}"] = Innovation(
+            None if residual is None else np.where(got, residual, np.nan),
+            None if variance is None else np.where(got, variance, np.nan),
+            None if said is None else np.where(got.any(axis=0), said, np.nan))
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
         self.estimates.append(_copied(estimate))
@@ -107,7 +120,8 @@ def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | 
         recorder = _Recorder(estimator.estimate())
         for _ in Loop(tape, estimator, recorder, idle=not skip).steps():
             pass
-    return Record(recorder.estimates, recorder.when, np.array(estimator.status), dict(estimator.reasons))
+    return Record(recorder.estimates, recorder.when, np.array(estimator.status), dict(estimator.reasons),
+                  recorder.innovations)
 
 
 def raised(error: Exception) -> str:
@@ -123,15 +137,20 @@ def difference(one: Record, other: Record, which: list[int] | None = None, *,
                statuses: bool = True) -> str | None:
     """Where `one` first differs from `other` in a bit, in words; `which`: the runs of `other` that `one` holds.
     statuses: those at the end are compared too."""
+    runs = list(range(len(other.status))) if which is None else which
     for a, b, when in zip(one.estimates, other.estimates, one.when, strict=False):
-        for name in CLAIMS:
-            mine: Array | None = getattr(a, name)
-            theirs: Array | None = getattr(b, name)
+        said, before = one.innovations.get(when, Innovation()), other.innovations.get(when, Innovation())
+        pairs = [(name, getattr(a, name), getattr(b, name)) for name in CLAIMS]
+        pairs += [(f"innovation.{name}", *both) for name, *both in zip(Innovation._fields, said, before, strict=True)]
+        mine: Array | None
+        theirs: Array | None
+        for name, mine, theirs in pairs:
+            if name.startswith("innovation") and mine is None and theirs is not None:  # nobody heard anything
+                mine = np.full_like(theirs, np.nan) if which is None else np.full_like(theirs[..., runs], np.nan)
             if (mine is None) != (theirs is None):
                 return f"{when} {name} is {'missing' if mine is None else 'given'}, otherwise not"
             if mine is None or theirs is None:
                 continue
-            runs = list(range(b.mean.shape[1])) if which is None else which
             theirs = np.broadcast_to(theirs, np.broadcast_shapes(theirs.shape, b.mean.shape[1:]))[..., runs]
             mine = np.broadcast_to(mine, theirs.shape)
             for place in np.argwhere((mine != theirs) & ~(np.isnan(mine) & np.isnan(theirs))).tolist():

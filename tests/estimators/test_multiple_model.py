@@ -19,6 +19,7 @@ from railstate.scenarios.files import load
 from railstate.scenarios.model import DesignModel
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
+from scipy.stats import multivariate_normal
 
 from ..models import heard, part, whole
 
@@ -117,6 +118,29 @@ def test_imm_is_the_textbooks(setting: Braking, parameters: dict[str, Any], tran
         np.testing.assert_allclose(means[..., run], mean, rtol=0, atol=1e-9)
         np.testing.assert_allclose(values[:, run], value, rtol=0, atol=1e-10)
         np.testing.assert_allclose(covariances[..., run], covariance[:, :3, :3], rtol=0, atol=1e-10)
+
+
+def test_imm_s_likelihood_is_brute_force(setting: Braking) -> None:
+    """One step from a known prior: the mixture of the modes' Gaussians, each worked out in full."""
+    world = lossy(setting.world(streams(range(2))))
+    model = setting.design_model({}, world.initial_mean)
+    modes, m = model.modes, 11
+    assert modes is not None
+    imm = InteractingMultipleModel({"stay": 0.8})
+    imm.start(model, 2, streams(range(2))("estimator", "x"))
+    imm.predict(world.u[0], whole(0))
+    innovation = imm.update(heard(world.y[0], world.received[0]))
+    assert innovation is not None and innovation.log_likelihood is not None
+    chances = modes.prior @ transitions.tridiagonal(m, 0.8)
+    for run in range(2):
+        got = np.flatnonzero(world.received[0, :, run])
+        total = 0.0
+        for j in range(m):
+            mean = modes.A[j] @ model.initial_mean[:, run] + modes.B[j] @ world.u[0, :, run]
+            P = modes.A[j] @ model.initial_covariance[:, :, 0] @ modes.A[j].T + modes.Q
+            C, R = modes.C[got], modes.R[np.ix_(got, got)]
+            total += chances[j] * multivariate_normal(C @ mean, C @ P @ C.T + R).pdf(world.y[0, got, run])
+        assert innovation.log_likelihood[run] == pytest.approx(np.log(total), rel=1e-12, abs=1e-12)
 
 
 def test_known_parameter_is_the_kalman_filter(setting: Braking) -> None:

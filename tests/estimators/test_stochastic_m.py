@@ -24,6 +24,7 @@ from railstate.scenarios.files import load
 from railstate.scenarios.model import DesignModel, Modes
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
+from scipy.stats import multivariate_normal
 
 from ..models import heard, part, whole
 
@@ -112,6 +113,52 @@ def test_runs_do_not_depend_on_the_batch(kind: type, parameters: dict[str, Any],
     for size in (7, 40):
         for alone, together in zip(results[1], results[size], strict=True):
             np.testing.assert_array_equal(alone, together)
+
+
+@both_forms
+@pytest.mark.parametrize("kind", [StochasticM, GroupStochasticM, RaoBlackwellizedParticle])
+def test_log_likelihood_is_brute_force(setting: Braking, kind: type, form: str) -> None:
+    """The mixture over particles and their children, each Gaussian worked out in full; then 30 steps in both forms."""
+    world = setting.world(streams(range(2)))
+    model = setting.design_model({}, world.initial_mean)
+    modes, P0 = model.modes, model.initial_covariance[:, :, 0]
+    assert modes is not None
+    received = world.received.copy()
+    received[0, 1, 0], received[1::2, 2] = False, False
+    pair = [kind({"form": name}) for name in FORMS]
+    for estimator in pair:
+        estimator.start(model, 2, streams(range(2))("estimator", "x"))
+    full = pair[1]
+    start, theta, n = full.cloud.x.copy(), full.cloud.theta.copy(), full.n
+    children, prior = full.family(modes)
+    for k in range(30):
+        found = []
+        for estimator in pair:
+            estimator.predict(world.u[k], whole(k))
+            innovation = estimator.update(heard(world.y[k], received[k], k))
+            assert innovation is not None and innovation.log_likelihood is not None
+            found.append(innovation.log_likelihood.copy())
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-9, atol=1e-9)
+        for run in range(2) if k == 0 else ():
+            got, total = np.flatnonzero(received[0, :, run]), 0.0
+            C, R = modes.C[got], modes.R[np.ix_(got, got)]
+            for i in range(n):
+                for child, log_prior in zip(children[theta[run, i]], prior[theta[run, i]], strict=True):
+                    A, B = modes.A[child], modes.B[child]
+                    mean, P = A @ start[run, :, i] + B @ world.u[0, :, run], A @ P0 @ A.T + modes.Q
+                    density = multivariate_normal(C @ mean, C @ P @ C.T + R).pdf(world.y[0, got, run])
+                    total += np.exp(log_prior) * density / n
+            assert found[FORMS.index(form)][run] == pytest.approx(np.log(total), rel=1e-10)
+
+
+def test_weights_that_are_no_posterior_tell_no_likelihood(setting: Braking) -> None:
+    world = setting.world(streams(range(2)))
+    model = setting.design_model({}, world.initial_mean)
+    for parameters in ({"memoryless": True}, {"prune": "heaviest"}):
+        estimator = StochasticM(parameters)
+        estimator.start(model, 2, streams(range(2))("estimator", "x"))
+        estimator.predict(world.u[0], whole(0))
+        assert estimator.update(heard(world.y[0], world.received[0])) is None
 
 
 @family
