@@ -45,9 +45,10 @@ class Interval(NamedTuple):
 
     def of_run(self, run: int) -> Interval:
         """The same for one run, in numbers."""
-        start, length, share = (part if isinstance(part, float) else float(part[run])
-                                for part in (self.start, self.length, self.share))
-        return Interval(self.step, start, length, share)
+        def own(part: PerRun) -> float:
+            return float(part[run]) if isinstance(part, np.ndarray) and part.ndim else float(part)
+
+        return Interval(self.step, own(self.start), own(self.length), own(self.share))
 
 
 class Measurement(NamedTuple):

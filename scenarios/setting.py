@@ -24,13 +24,15 @@ class Quantity:
 
     Squared error of a step = sum over components of (weight x error)^2, averaged over the components when `mean`
     (RMSE over several cars), summed otherwise (a weighted norm). Unit is SI; `shown` = (unit, factor) is how tables
-    print it."""
+    print it. referenced: False where the truth is what the estimators are told themselves (a reading that is its own
+    reference): no error over a whole run is scored, and no NEES; named windows, in which it may be withheld, are."""
 
     name: str
     unit: str
     components: tuple[tuple[int, float], ...]
     mean: bool = True
     shown: tuple[str, float] | None = None
+    referenced: bool = True
 
 
 Outcome = tuple[str, str, str]

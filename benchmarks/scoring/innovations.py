@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from ...estimators.interface import Innovation
 from ...estimators.kernels.core import HALF_LOG_TURN, kernel
@@ -27,10 +28,8 @@ class Span(NamedTuple):
 def nis_interval(elements: float, level: float = 0.95) -> Span:
     """Where the mean NIS per element lies with this probability if the filter is right: chi-square of so many degrees
     of freedom, over their number (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
-    from scipy.stats import chi2
-
-    low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], elements) / elements
-    return Span(float(low), float(high))
+    low, high = (2 * float(gammaincinv(elements / 2, share)) / elements for share in ((1 - level) / 2, (1 + level) / 2))
+    return Span(low, high)
 
 
 def whiteness_interval(pairs: float) -> Span:

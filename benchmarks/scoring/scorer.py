@@ -48,7 +48,9 @@ class Scorer:
         self.weight = np.array([part[1] for part in parts], dtype=float)
         self.owner = np.array([part[2] for part in parts])
         self.share = np.array([part[3] for part in parts])
-        self.limit = np.array([limits.get(item.name, np.finfo(float).max) for item in quantities])
+        none = np.finfo(float).max
+        self.limit = np.array([limits.get(item.name, none) if item.referenced else none for item in quantities])
+        self.referenced = all(item.referenced for item in quantities)
         n = len(quantities)
         self.totals, self.step = np.zeros((3, n, runs)), np.empty((4, n, runs))
         self.last, self.left_out = np.zeros((n, runs)), np.zeros((n, runs))
@@ -75,7 +77,7 @@ class Scorer:
         scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
         score_errors(vector, truth, step.active, scored, self.index, self.weight, self.owner, self.share, self.limit,
                      self.good, live, self.step, self.totals, self.last, self.left_out, self.steps, curve)
-        if estimate.covariance is not None:
+        if estimate.covariance is not None and self.referenced:
             score_nees(vector, truth, np.ascontiguousarray(estimate.covariance), live, self.form, self.lost, self.nees,
                        self.nees_steps, curve)
             self.claimed.add("nees")
@@ -108,7 +110,7 @@ class Scorer:
         steps = np.where(self.steps > 0, self.steps, np.nan)
         metrics: dict[tuple[str, str], Array] = {}
         for q, item in enumerate(self.quantities):
-            if any(i >= self.estimated for i, _ in item.components):
+            if not item.referenced or any(i >= self.estimated for i, _ in item.components):
                 self.curves[:, :3, q] = np.nan
                 continue
             counted = steps - self.left_out[q] if item.mean else steps

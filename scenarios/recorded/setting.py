@@ -80,10 +80,18 @@ class Recorded(Setting[RecordedConfig]):
         return np.diff(self.recording.time)[:steps]
 
     def quantities(self) -> tuple[Quantity, ...]:
-        return Quantity("position", "m", ((0, 1.0),)), Quantity("speed", "m/s", ((1, 1.0),))
+        """Errors against a reference of its own: a reading that is its own reference is no truth, and its derivative
+        neither."""
+        roles = self.config.plant.map
+        placed = "reference_position" in roles or not roles
+        timed = "reference_speed" in roles or ("speed" not in roles and placed)
+        return (Quantity("position", "m", ((0, 1.0),), referenced=placed),
+                Quantity("speed", "m/s", ((1, 1.0),), referenced=timed))
 
     def table(self) -> tuple[tuple[str, str], ...]:
         ends = (("rmse", "position-outage-end"),) if self.config.sensors.outage.place != "none" else ()
+        if not self.quantities()[0].referenced:
+            return ("nis", "innovation"), ("whiteness", "innovation"), ("log-likelihood", "innovation"), *ends
         return *super().table(), ("final", "position"), *ends
 
     def batch_bytes(self) -> int:

@@ -281,10 +281,20 @@ def test_what_a_recording_lacks_leaves_out_what_needs_it(recording):
     blind = scenario.setting("outage")
     with pytest.raises(Unsupported, match="needs an odometer or a speed"):
         run(blind, "dead-reckoning", 2)
-    assert run(scenario.setting("as-recorded"), "kalman", 2)[2].scored.metrics["rmse", "position"].max() < 5
     only = load("recorded", {"plant.recording": recording, "plant.map": {
-        "time": "t_s", "position": "gnss_m", "odometer": "odo_m"}}).setting("as-recorded")
+        name: MAP[name] for name in MAP if name != "speed"}}).setting("as-recorded")
     assert run(only, "dead-reckoning", 1, "as-recorded")[2].scored.metrics["rmse", "speed"][0] > 0.5
+
+
+def test_a_reading_that_is_its_own_reference_gives_no_errors_but_what_innovations_say(recording):
+    """Errors against it are those of the filter's own input; in an outage it is withheld, and tells."""
+    scenario = load("recorded", {"plant.recording": recording, "plant.map": {"time": "t_s", "position": "gnss_m"}})
+    found = run(scenario.setting("as-recorded"), "kalman", 2)[2]
+    names = {metric for metric, _ in found.scored.metrics}
+    assert not names & {"rmse", "mae", "max", "final", "nees"} and not found.scored.status.any()
+    assert {"nis", "whiteness", "log-likelihood"} <= names
+    assert np.isfinite(found.scored.metrics["log-likelihood", "innovation"]).all()
+    assert ("rmse", "position-outage-end", "m") in run(scenario.setting("outage"), "kalman", 2)[2].outcomes
 
 
 def test_what_is_not_heard_is_not_told_either(recording):

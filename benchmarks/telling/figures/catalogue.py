@@ -18,7 +18,7 @@ from .random_access import trace_and_bounds
 from .ranks import critical_difference
 from .recorded import errors_by_outage, recorded_trip
 from .sections import errors_by_section
-from .trust import certified_against_measured, nees_over_time
+from .trust import certified_against_measured, nees_over_time, nis_over_time
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,9 @@ FIGURES: tuple[Figure, ...] = (
     Figure("nees", "NEES over time",
            "1 is consistent, above is too sure, below too cautious. A consistent estimator stays in the grey band at "
            "95 % of the steps.", nees_over_time),
+    Figure("nis", "NIS over time",
+           "The innovations against what the filter expects of them: no truth is needed. 1 is consistent, above is too "
+           "sure, below too cautious; a consistent filter stays in the grey band at 95 % of the steps.", nis_over_time),
     Figure("certified", "Certified bound against measured mean square",
            "A promise is kept where the measured value lies left of its bar.", certified_against_measured),
     Figure("example", "An example run",

@@ -18,26 +18,40 @@ from .errors import BINS, LEFT, RIGHT, label_room
 def nees_over_time(cell: CellResults) -> Canvas | None:
     """NEES averaged over the runs at single steps, divided by the number of states, and the chi-square interval."""
     states = {str(label): nees_states(part) for label, part in cell.rows.groupby("estimator", sort=False)}
-    labels = [label for label, n in states.items() if n and (label, "nees") in cell.curves]
+    runs = max((int(cell.curves[label, "nees"].active.max(initial=0.0)) for label in states
+                if (label, "nees") in cell.curves), default=0)
+    return _over_time(cell, "nees", {label: n for label, n in states.items() if n}, "NEES",
+                      f"NEES / states, mean of {counted(runs, 'run')}")
+
+
+def nis_over_time(cell: CellResults) -> Canvas | None:
+    """NIS averaged over what all runs received at single steps, and its chi-square interval. Needs no truth."""
+    labels = [str(label) for label in cell.rows["estimator"].unique()]
+    return _over_time(cell, "nis", dict.fromkeys(labels, 1), "NIS", "NIS / elements received, mean over the runs")
+
+
+def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: str, title: str) -> Canvas | None:
+    """A quadratic form over time, by the degrees of freedom of each estimator's, with its interval."""
+    labels = [label for label in degrees if (label, quantity) in cell.curves]
     if not labels:
         return None
-    usual = Counter(states[label] for label in labels).most_common(1)[0][0]
+    usual = Counter(degrees[label] for label in labels).most_common(1)[0][0]
     lines = {}
     for label in labels:
-        curve = cell.curves[label, "nees"]
+        curve = cell.curves[label, quantity]
         use = np.flatnonzero(curve.active >= max(1.0, 0.1 * float(curve.active.max(initial=0.0))))
         use = use[np.unique(np.linspace(0, len(use) - 1, min(BINS, len(use))).astype(int))] if len(use) else use
-        lines[label] = (curve.time[use], curve.squared[use] / curve.active[use] / states[label], curve.active[use])
+        lines[label] = (curve.time[use], curve.squared[use] / curve.active[use] / degrees[label], curve.active[use])
     time, _, active = max(lines.values(), key=lambda line: len(line[0]))
     if not len(time):
         return None
     limits = np.array([chi_square_interval(round(n), usual) for n in active])
     room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(166 + room, f"NEES over time, {cell.key}")
+    canvas = Canvas(166 + room, f"{name} over time, {cell.key}")
     usually = [np.maximum(values, max(float(np.quantile(values, 0.05)), 1e-3)) for _, values, _ in lines.values()]
     y = spanning(*usually, limits, log=True)
     panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
-                  title=f"NEES / states, mean of {counted(int(active.max()), 'run')}", x_label="time [s]")
+                  title=title, x_label="time [s]")
     panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.3)
     panel.level(1.0, colour="ink")
     for label, (at, value, _) in lines.items():
