@@ -10,19 +10,20 @@ from numpy.typing import NDArray
 from ..scenarios.arrays import Array, Index
 from ..scenarios.errors import Unsupported
 from ..scenarios.measurement import Measurement
-from ..scenarios.model import DesignModel, Modes
+from ..scenarios.model import DesignModel, Grid, grid_of
 
 VARIANCE_FLOOR = 1e-18  # variance added to claims: a particle cloud of one value may claim less than rounding errors
 
 
 def sensor_noise(model: DesignModel, measurement: Measurement) -> Array:
     """R (ny, ny, S or 1) of a measurement for estimators that work on modes."""
-    assert model.modes is not None
-    R = model.modes.R[:, :, None] if model.measurement_covariance is None else model.measurement_covariance(measurement)
+    if model.measurement_covariance is None:
+        return np.ascontiguousarray(grid_of(model, "the estimator").R[:, :, None], dtype=float)
+    R = model.measurement_covariance(measurement)
     return np.ascontiguousarray(R, dtype=float)
 
 
-def known_states(modes: Modes, initial_covariance: Array) -> NDArray[np.bool_]:
+def known_states(modes: Grid, initial_covariance: Array) -> NDArray[np.bool_]:
     """States that are known exactly: no initial variance, no process noise, the same rule in every mode, driven by
     each other and the input alone. Shape (nx,)."""
     known = (np.diag(initial_covariance) == 0) & (np.abs(modes.Q).sum(axis=1) == 0)

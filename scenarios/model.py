@@ -55,8 +55,8 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Modes:
-    """A discrete parameter theta on a grid, a linear model for each value (multiple-model and particle estimators).
+class Grid:
+    """A discrete parameter theta on a grid, a linear model for each value, as stacked matrices.
 
     grid (m,); A (m, nx, nx), B (m, nx, nu) exact zero-order hold; C (ny, nx); Q (nx, nx); R (ny, ny).
     prior (m,) over the grid; name and unit of the parameter."""
@@ -69,6 +69,43 @@ class Modes:
     Q: Array
     R: Array
     prior: Array
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A hypothesis: a whole design model of the same states and measurements, and what it is called.
+
+    value: where modes stand for a number that is estimated; NaN otherwise."""
+
+    name: str
+    model: DesignModel
+    value: float = math.nan
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Hypotheses of which one holds at a time, with prior (m,) and transition (m, m) over one whole step, from row to
+    column; a part p of a step takes its power p. transition None: the estimator chooses.
+
+    grid: the same as stacked matrices where the modes are values of a parameter on a grid, linear each; else None."""
+
+    modes: tuple[Mode, ...]
+    prior: Array
+    transition: Array | None = None
+    grid: Grid | None = None
+
+
+@dataclass(frozen=True)
+class Inclusion:
+    """What surely holds of the first n states: intervals [low, high] from bounds of all errors, none of them random.
+
+    low, high (n, 1): at the start. predict(low, high, u, interval), observe(low, high, measurement): (n, S) each, the
+    intervals after them."""
+
+    low: Array
+    high: Array
+    predict: Callable[[Array, Array, Array, Interval], tuple[Array, Array]]
+    observe: Callable[[Array, Array, Measurement], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -119,6 +156,7 @@ class DesignModel:
     reception: Reception | None = None
     performance: Array | None = None
     details: dict[str, object] = field(default_factory=dict)
+    inclusion: Inclusion | None = None
     tells: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -193,6 +231,26 @@ def linear_model(
         linear=linear,
         **parts,  # pyright: ignore[reportArgumentType]
     )
+
+
+def grid_modes(grid: Grid, model: DesignModel) -> Modes:
+    """A grid's values as modes: design models with its matrices and everything else of `model`."""
+    zero = np.zeros(model.nx)
+
+    def mode(A: Array, B: Array, value: float) -> Mode:
+        linear = Linear(lambda k: A, lambda k: B, lambda k: zero, lambda k: grid.C, lambda k: grid.Q, lambda k: grid.R)
+        return Mode(f"{grid.name} {value:g}", linear_model(
+            linear, states=model.states, measurements=model.measurements, period=model.period,
+            initial_mean=model.initial_mean, initial_covariance=model.initial_covariance), value)
+
+    return Modes(tuple(map(mode, grid.A, grid.B, grid.grid.tolist())), grid.prior, None, grid)
+
+
+def grid_of(model: DesignModel, who: str) -> Grid:
+    """The grid of a design model's modes. Raises Unsupported where there is none."""
+    if model.modes is None or model.modes.grid is None:
+        raise Unsupported(f"{who} needs modes that are values of a parameter on a grid, a linear model for each")
+    return model.modes.grid
 
 
 def product(matrix: Array, x: Array) -> Array:

@@ -235,7 +235,7 @@ def _arrays(model: DesignModel) -> Iterator[tuple[str, Array]]:
                                                 for r in [model.measurement_covariance] if r)):
         if isinstance(value, np.ndarray):
             yield name, value
-    for part in (model.bounds, model.modes):
+    for part in (model.bounds, model.modes and model.modes.grid):
         for name, value in vars(part).items() if part else ():
             if isinstance(value, np.ndarray):
                 yield f"{type(part).__name__.lower()}.{name}", value

@@ -15,7 +15,7 @@ from ...estimators.interface import Estimator
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Infeasible, InputError
 from ...scenarios.measurement import Interval, PerRun
-from ...scenarios.model import Bounds, DesignModel, Linear, Modes, Reception, linear_model
+from ...scenarios.model import Bounds, DesignModel, Grid, Linear, Reception, grid_modes, linear_model
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
 from ...scenarios.schema import EstimatorEntry
@@ -139,9 +139,10 @@ def small_model(initial_mean: Array) -> DesignModel:
         linear, states=("position", "speed"), measurements=("position", "speed"), period=t, initial_mean=initial_mean,
         initial_covariance=np.diag([4.0, 1.0])[:, :, None], performance=np.eye(2),
         bounds=Bounds(b.copy(), np.array([SPREAD]), 3 * np.array([POSITION_SD, SPEED_SD]), part=part),
-        modes=Modes("effect", GRID, np.repeat(a[None], 4, axis=0), GRID[:, None, None] * b, c, q, r, np.full(4, 0.25)),
         reception=Reception(nodes=((0,), (1,)), p=(0.5, 0.5)))
-    return replace(model, transition=transition, transition_jacobian=jacobian, process_covariance=process)
+    grid = Grid("effect", GRID, np.repeat(a[None], 4, axis=0), GRID[:, None, None] * b, c, q, r, np.full(4, 0.25))
+    return replace(model, transition=transition, transition_jacobian=jacobian, process_covariance=process,
+                   modes=grid_modes(grid, model))
 
 
 def small_case(parameters: Mapping[str, Any]) -> Case:

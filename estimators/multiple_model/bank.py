@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Measurement
-from ...scenarios.model import DesignModel, Modes
+from ...scenarios.model import DesignModel, Grid, grid_of
 from ..interface import Estimate, Estimator, Innovation, Status, flag
 from ..kernels.modes import kalman_block, mixture, whitened
 from ..mode_grid import VARIANCE_FLOOR, sensor_noise
@@ -60,7 +60,12 @@ class ModeFilters(Estimator):
     claims = ("parameter", "covariance")
     honours = ("covariance",)
 
-    def prepare(self, model: DesignModel, runs: int, modes: Modes, m: int) -> None:
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        grid_of(model, cls.__name__)
+
+    def prepare(self, model: DesignModel, runs: int, modes: Grid, m: int) -> None:
         """Start m filters a run at the prior."""
         nx = model.nx
         self.modes, self.alive = modes, np.ones(runs, dtype=bool)

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Interval, Measurement
-from ...scenarios.model import DesignModel, whole_steps
+from ...scenarios.model import DesignModel, grid_of, whole_steps
 from ...scenarios.randomness import RunRandom
 from .. import mode_grid as transitions
 from ..interface import Estimate, Innovation, Parameters, used_with
@@ -65,8 +65,7 @@ class InteractingMultipleModel(ModeFilters):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        modes = model.modes
-        assert modes is not None
+        modes = grid_of(model, type(self).__name__)
         m = len(modes.grid)
         self.prepare(model, runs, modes, m)
         self.uncertain = ~known_states(modes, model.initial_covariance[:, :, 0])

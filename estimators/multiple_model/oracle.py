@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Interval
-from ...scenarios.model import DesignModel, Modes, whole_steps
+from ...scenarios.model import DesignModel, Grid, grid_of, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate
 from .bank import ModeFilters
@@ -30,11 +30,11 @@ class KnownParameterKalman(ModeFilters):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        assert model.modes is not None
-        self.prepare(model, runs, model.modes, 1)
-        self.order = np.argsort(model.modes.grid)
-        self.told = np.full((1, runs), float(model.modes.grid @ model.modes.prior))
-        self.excited = reached(model.modes)
+        modes = grid_of(model, type(self).__name__)
+        self.prepare(model, runs, modes, 1)
+        self.order = np.argsort(modes.grid)
+        self.told = np.full((1, runs), float(modes.grid @ modes.prior))
+        self.excited = reached(modes)
 
     def reveal(self, truth: Array) -> None:
         self.told = truth[self.model.nx:self.model.nx + 1].copy()
@@ -66,7 +66,7 @@ def _between(theta: Array, grid: Array, values: Array) -> Array:
     return values[left] + share * (values[left + 1] - values[left])
 
 
-def reached(modes: Modes) -> NDArray[np.bool_]:
+def reached(modes: Grid) -> NDArray[np.bool_]:
     """States that process noise reaches, directly or through others, (nx,)."""
     reached = np.abs(modes.Q).sum(axis=1) > 0
     while True:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...scenarios.arrays import Array
-from ...scenarios.model import DesignModel
+from ...scenarios.model import DesignModel, grid_of
 from ...scenarios.randomness import RunRandom
 from ..stochastic_m.cloud import DRAWS, GridParticles
 
@@ -31,8 +31,7 @@ def particle_loop(estimator: GridParticles, model: DesignModel, inputs: Array, m
     Takes from the estimator only its parameters: children and their prior, pruning, proposal. inputs (K, nu),
     measurements (K, ny), all received; random: that run's stream, drawn from in the estimator's portions.
     Returns mean (K, nx), parameter (K,) and the number of Kalman updates."""
-    modes = model.modes
-    assert modes is not None
+    modes = grid_of(model, "the particle loop")
     children, prior = estimator.family(modes)
     n = estimator.first()
     edges = np.cumsum(modes.prior)[:-1]
@@ -76,8 +75,7 @@ def particle_loop(estimator: GridParticles, model: DesignModel, inputs: Array, m
 
 def _kalman(model: DesignModel, mode: int, logw: float, x: Array, P: Array, u: Array, y: Array) -> Particle:
     """One child: prediction, likelihood and update with the matrices of its mode."""
-    modes = model.modes
-    assert modes is not None
+    modes = grid_of(model, "the particle loop")
     A, C = modes.A[mode], modes.C
     x = A @ x + modes.B[mode] @ u
     P = A @ P @ A.T + modes.Q

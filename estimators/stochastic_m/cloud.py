@@ -13,7 +13,7 @@ from pydantic import Field
 from ...scenarios.arrays import Array, Index, Mask
 from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Interval, Measurement
-from ...scenarios.model import DesignModel, Modes, whole_steps
+from ...scenarios.model import DesignModel, Grid, grid_of, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..mode_grid import VARIANCE_FLOOR, sensor_noise
@@ -48,8 +48,13 @@ class GridParticles(Estimator):
     by_weight = False
     memoryless = False
 
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        grid_of(model, cls.__name__)
+
     @abstractmethod
-    def family(self, modes: Modes) -> tuple[Index, Array]:
+    def family(self, modes: Grid) -> tuple[Index, Array]:
         """Children (m, g) of each grid value and their log prior (m, g)."""
 
     @abstractmethod
@@ -77,16 +82,14 @@ class GridParticles(Estimator):
 
     def design(self, model: DesignModel) -> dict[str, Any]:
         """The work a step takes (Table 2's times stand for it)."""
-        assert model.modes is not None
-        g = self.family(model.modes)[0].shape[1]
+        g = self.family(grid_of(model, type(self).__name__))[0].shape[1]
         sizes = self._sizes(g)
         return {"particles": max(sizes), "kalman_updates_per_step": float(np.mean(sizes[:60])) * g}
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         """Raises Unsupported where the initial covariance is not diagonal, or the form does not fit the modes."""
         super().start(model, runs, random)
-        modes = model.modes
-        assert modes is not None
+        modes = grid_of(model, type(self).__name__)
         variance = model.initial_covariance[:, :, 0]
         if np.count_nonzero(variance - np.diag(np.diag(variance))):
             raise Unsupported(f"{type(self).__name__} needs a diagonal initial covariance")
@@ -114,7 +117,7 @@ class GridParticles(Estimator):
         self.nothing = np.zeros((runs, model.ny)), np.zeros((runs, model.ny), dtype=bool), R
         self.log_sum = float(np.log(n))
 
-    def _start_factorised(self, modes: Modes, variance: Array, x: Array, theta: Index, logw: Array) -> None:
+    def _start_factorised(self, modes: Grid, variance: Array, x: Array, theta: Index, logw: Array) -> None:
         runs, capacity = theta.shape
         u, k = ~self.known, self.known
         nu, nk = int(u.sum()), int(k.sum())
@@ -127,7 +130,7 @@ class GridParticles(Estimator):
         self.out = factorised.Moments(np.empty((nu, runs)), np.empty((nk, runs)), np.empty((1, runs)),
                                       np.empty((nu, nu, runs)), self.diversity, np.zeros(runs))
 
-    def _start_full(self, modes: Modes, variance: Array, x: Array, theta: Index, logw: Array) -> None:
+    def _start_full(self, modes: Grid, variance: Array, x: Array, theta: Index, logw: Array) -> None:
         runs, capacity = theta.shape
         nx = len(x)
         self.kernel, self.model_moving = full.step, full.full_modes(modes)

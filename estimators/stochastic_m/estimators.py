@@ -12,7 +12,7 @@ from numba import njit
 from pydantic import Field, model_validator
 
 from ...scenarios.arrays import Array, Index
-from ...scenarios.model import Modes
+from ...scenarios.model import Grid
 from .. import mode_grid as transitions
 from ..interface import used_with
 from .cloud import CloudParameters, GridParticles
@@ -83,7 +83,7 @@ class StochasticM(GridParticles):
         """Grid indices a particle may go on to, (m, g)."""
         return transitions.everywhere(len(grid))
 
-    def family(self, modes: Modes) -> tuple[Index, Array]:
+    def family(self, modes: Grid) -> tuple[Index, Array]:
         children = self.children(modes.grid)
         sticky = self.parameters.prior == "sticky"
         transition = (transitions.tridiagonal(len(modes.grid), self.parameters.stay) if sticky
@@ -127,7 +127,7 @@ class RaoBlackwellizedParticle(GridParticles):
             return transitions.tridiagonal(m, 1 - chosen.jitter) if chosen.jitter > 0 else None
         return transitions.uniform(m) if chosen.prior == "uniform" else transitions.tridiagonal(m, chosen.stay)
 
-    def family(self, modes: Modes) -> tuple[Index, Array]:
+    def family(self, modes: Grid) -> tuple[Index, Array]:
         m = len(modes.grid)
         transition = self._transition(m)
         self.edges = None

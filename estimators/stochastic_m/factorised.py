@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array, Index
 from ...scenarios.errors import Unsupported
-from ...scenarios.model import Modes
+from ...scenarios.model import Grid
 from ..kernels.modes import normalise
 from ..mode_grid import known_states
 from .gain import Factors, gain_of, innovation, pair_product
@@ -43,7 +43,7 @@ class Moments(NamedTuple):
     log_likelihood: Array
 
 
-def factors_of(modes: Modes, initial_covariance: Array) -> Factors:
+def factors_of(modes: Grid, initial_covariance: Array) -> Factors:
     """Split the modes. Raises Unsupported where theta acts on uncertain states, or not proportionally."""
     k = known_states(modes, initial_covariance)
     u = ~k

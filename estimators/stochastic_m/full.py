@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array
-from ...scenarios.model import Modes
+from ...scenarios.model import Grid
 from ..kernels.modes import kalman_block, mixture, normalise, whitened
 from .select import collapse, distinct, select
 
@@ -19,7 +19,7 @@ CHUNK = 64
 
 
 class FullModes(NamedTuple):
-    """`scenarios.model.Modes` as plain arrays for the kernels; support (nx, nx): entries of A some mode fills."""
+    """`scenarios.model.Grid` as plain arrays for the kernels; support (nx, nx): entries of A some mode fills."""
 
     A: Array
     B: Array
@@ -51,7 +51,7 @@ class FullMoments(NamedTuple):
     log_likelihood: Array
 
 
-def full_modes(modes: Modes) -> FullModes:
+def full_modes(modes: Grid) -> FullModes:
     """The modes as the kernels take them."""
     A, B, C, Q = (np.ascontiguousarray(part, dtype=float) for part in (modes.A, modes.B, modes.C, modes.Q))
     return FullModes(A, B, C, Q, np.ascontiguousarray(modes.grid, dtype=float), (A != 0).any(axis=0))

@@ -4,14 +4,14 @@ Kept apart from the setting so that truth and design model share one discretisat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
 from ..measurement import Interval
 from ..measurement import told as told_covariance
-from ..model import Bounds, DesignModel, Linear, Modes, linear_model, product, whole_steps
+from ..model import Bounds, DesignModel, Grid, Linear, grid_modes, linear_model, product, whole_steps
 from .plant import Affine
 
 STATES = ("displacement", "speed", "control-acceleration", "target-acceleration")
@@ -38,14 +38,14 @@ def grid_model(told: Told, grid: Array, nominal: float) -> DesignModel:
     """The four-state model with one mode per grid value of f; its plain linear part believes f = `nominal`."""
     matrices = [told.plant.at(float(value)) for value in grid]
     Q = np.diag([0.0, told.speed_variance, 0.0, 0.0])
-    modes = Modes(PARAMETER, grid, np.array([A for A, _ in matrices]), np.array([B for _, B in matrices]), told.C, Q,
-                  told.R, np.full(len(grid), 1 / len(grid)))
+    modes = Grid(PARAMETER, grid, np.array([A for A, _ in matrices]), np.array([B for _, B in matrices]), told.C, Q,
+                 told.R, np.full(len(grid), 1 / len(grid)))
     A, B = told.plant.at(nominal)
     zero = np.zeros(4)
     linear = Linear(lambda k: A, lambda k: B, lambda k: zero, lambda k: told.C, lambda k: Q, lambda k: told.R)
-    return linear_model(linear, states=STATES, measurements=told.measurements, period=told.period,
-                        initial_mean=told.initial_mean, initial_covariance=np.diag(told.initial_variance)[:, :, None],
-                        modes=modes)
+    model = linear_model(linear, states=STATES, measurements=told.measurements, period=told.period,
+                         initial_mean=told.initial_mean, initial_covariance=np.diag(told.initial_variance)[:, :, None])
+    return replace(model, modes=grid_modes(modes, model))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from railstate.estimators.multiple_model.oracle import KnownParameterKalman
 from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
-from railstate.scenarios.model import DesignModel
+from railstate.scenarios.model import DesignModel, grid_of
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
 from scipy.stats import multivariate_normal
@@ -53,8 +53,7 @@ def kalman(A: np.ndarray, B: np.ndarray, modes: Any, x: np.ndarray, P: np.ndarra
 def textbook_imm(model: DesignModel, transition: np.ndarray, u: np.ndarray,
                  y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean (K, nx), parameter (K,), covariance (K, nx, nx) of one run."""
-    modes = model.modes
-    assert modes is not None
+    modes = grid_of(model, "this test")
     m = len(modes.grid)
     mu = modes.prior.copy()
     x = [model.initial_mean[:, 0]] * m
@@ -151,7 +150,8 @@ def test_known_parameter_is_the_kalman_filter(setting: Braking) -> None:
         x, P = model.initial_mean[:, run], model.initial_covariance[:, :, 0]
         for k in range(40):
             f = 1 - 0.005 * (k + 1)  # between grid values: A and B are affine in f, so interpolation is exact
-            x, P, _ = kalman(*setting.plant.at(f), model.modes, x, P, world.u[k, :, run], world.y[k, :, run])
+            modes = grid_of(model, "this test")
+            x, P, _ = kalman(*setting.plant.at(f), modes, x, P, world.u[k, :, run], world.y[k, :, run])
             np.testing.assert_allclose(means[k, :, run], x, rtol=0, atol=1e-10)
             np.testing.assert_allclose(covariances[k, :, :, run], P[:2, :2], rtol=0, atol=1e-12)
             assert values[k, run] == pytest.approx(f, abs=1e-15)
@@ -205,8 +205,7 @@ def test_without_transitions_it_is_a_bank_of_filters(setting: Braking) -> None:
     """stay = 1: no mixing, each value weighed by the product of its likelihoods, which would overflow but in logs."""
     world = setting.world(streams(range(1)))
     model = setting.design_model({}, world.initial_mean)
-    modes = model.modes
-    assert modes is not None
+    modes = grid_of(model, "this test")
     means, values, _ = follow(InteractingMultipleModel({"stay": 1.0}), model, world, 150)
     bank = [(model.initial_mean[:, 0], model.initial_covariance[:, :, 0], 0.0) for _ in modes.grid]
     for k in range(150):

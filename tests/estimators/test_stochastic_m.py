@@ -21,7 +21,7 @@ from railstate.estimators.stochastic_m.select import heaviest, systematic
 from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
-from railstate.scenarios.model import DesignModel, Modes
+from railstate.scenarios.model import DesignModel, Grid, grid_modes, grid_of
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
 from scipy.stats import multivariate_normal
@@ -173,10 +173,10 @@ def test_missing_elements_are_never_read(setting: Braking, kind: type, parameter
     received[4:9, :, 2] = False
     lossy = replace(world, received=received, y=np.where(received, world.y, np.nan))
     means, values, covariances = follow(kind({**parameters, "form": form}), model, lossy, runs, 12)
-    assert model.modes is not None
+    grid = grid_of(model, "this test")
     rows = [0, 2]
-    modes = replace(model.modes, C=model.modes.C[rows], R=model.modes.R[np.ix_(rows, rows)])
-    short = replace(model, modes=modes, measurements=("displacement", "target-acceleration"))
+    cut = replace(grid, C=grid.C[rows], R=grid.R[np.ix_(rows, rows)])
+    short = replace(model, modes=grid_modes(cut, model), measurements=("displacement", "target-acceleration"))
     fewer = replace(world, y=world.y[:, rows], received=received[:, rows])
     wanted = follow(kind({**parameters, "form": form}), short, fewer, runs, 12)
     for one, other in zip((means, values, covariances), wanted, strict=True):
@@ -475,11 +475,12 @@ def test_general_modes_go_through_the_full_form() -> None:
     """Modes that differ in how fast a state decays, no known state: only the full form serves, and it is the loop."""
     grid = np.array([0.5, 0.7, 0.9])
     A = np.array([[[1.0, 1.0], [0.0, value]] for value in grid])
-    modes = Modes("decay", grid, A, np.zeros((3, 2, 1)), np.array([[1.0, 0.0]]), np.diag([0.01, 0.2]),
+    modes = Grid("decay", grid, A, np.zeros((3, 2, 1)), np.array([[1.0, 0.0]]), np.diag([0.01, 0.2]),
                   np.array([[0.3]]), np.full(3, 1 / 3))
     base = braking().design_model({}, np.zeros((4, 1)))
-    model = replace(base, modes=modes, states=("x", "v"), measurements=("x",), initial_mean=np.array([[0.0], [1.0]]),
+    model = replace(base, states=("x", "v"), measurements=("x",), initial_mean=np.array([[0.0], [1.0]]),
                     initial_covariance=np.eye(2)[:, :, None])
+    model = replace(model, modes=grid_modes(modes, model))
     with pytest.raises(Unsupported, match="factorised"):
         StochasticM({}).start(model, 1, streams([0])("estimator", "x"))
     y = np.cumsum(np.random.default_rng(2).normal(size=(8, 1)), axis=0)

@@ -1,0 +1,120 @@
+"""Compiled interaction of a bank of filters, runs innermost: mixed priors, weights, and the moments over the modes.
+
+Mode j of run s is column j S + s of means (n, m S) and covariances (n, n, m S)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .core import kernel
+
+
+@kernel
+def mix(transition, weight, moving, mean, covariance):
+    """Interaction in place: mean, covariance become the mixed priors of each mode, weight (m, S) its prior.
+
+    transition (m, m, S or 1); moving (S,): the other runs stay to the bit."""
+    m, runs = weight.shape
+    n = mean.shape[0]
+    shared = transition.shape[2] == 1
+    offset, spread = np.empty((m, n, runs)), np.empty((m, n, n, runs))
+    share, shift, total = np.empty((m, runs)), np.empty((n, runs)), np.empty((m, runs))
+    for j in range(m):
+        for a in range(n):
+            for s in range(runs):
+                offset[j, a, s] = mean[a, j * runs + s] - mean[a, s]
+        for a in range(n):
+            for b in range(a + 1):
+                for s in range(runs):
+                    spread[j, a, b, s] = covariance[a, b, j * runs + s] + offset[j, a, s] * offset[j, b, s]
+    base = mean[:, :runs].copy()
+    for j in range(m):
+        for s in range(runs):
+            total[j, s] = 0.0
+        for i in range(m):
+            for s in range(runs):
+                share[i, s] = (transition[i, j, 0] if shared else transition[i, j, s]) * weight[i, s]
+                total[j, s] += share[i, s]
+        for i in range(m):
+            for s in range(runs):
+                # no way into this mode: it keeps its own state and has no weight
+                share[i, s] = share[i, s] / total[j, s] if total[j, s] > 0.0 else (1.0 if i == j else 0.0)
+        for a in range(n):
+            for s in range(runs):
+                shift[a, s] = 0.0
+            for i in range(m):
+                for s in range(runs):
+                    shift[a, s] += share[i, s] * offset[i, a, s]
+            for s in range(runs):
+                if moving[s]:
+                    mean[a, j * runs + s] = base[a, s] + shift[a, s]
+        for a in range(n):
+            for b in range(a + 1):
+                for s in range(runs):
+                    value = 0.0
+                    for i in range(m):
+                        value += share[i, s] * spread[i, a, b, s]
+                    value -= shift[a, s] * shift[b, s]
+                    if moving[s]:
+                        covariance[a, b, j * runs + s] = value
+                        covariance[b, a, j * runs + s] = value
+    for j in range(m):
+        for s in range(runs):
+            if moving[s]:
+                weight[j, s] = total[j, s]
+
+
+@kernel
+def weigh(weight, loglik, lost):
+    """weight (m, S) times exp(loglik (m S,)), normalised, in place. Returns the log-likelihood of the mixture (S,).
+
+    lost (S,) is set where no mode is possible any more; a mode whose log-likelihood is NaN is not."""
+    m, runs = weight.shape
+    out = np.zeros(runs)
+    for s in range(runs):
+        top = -np.inf
+        for j in range(m):
+            value = loglik[j * runs + s]
+            if weight[j, s] > 0.0 and value > top:
+                top = value
+        total = 0.0
+        if top > -np.inf:
+            for j in range(m):
+                value = loglik[j * runs + s]
+                weight[j, s] *= np.exp(value - top) if value == value else 0.0
+                total += weight[j, s]
+        if not total > 0.0:
+            lost[s] = True
+            out[s] = np.nan
+            for j in range(m):
+                weight[j, s] = np.nan
+            continue
+        for j in range(m):
+            weight[j, s] /= total
+        out[s] = np.log(total) + top
+    return out
+
+
+@kernel
+def moments(weight, mean, covariance, mean_out, covariance_out):
+    """Mean (n, S) and covariance (n, n, S) of the mixture. A mode of no weight counts nothing, whatever its numbers."""
+    m, runs = weight.shape
+    n = mean.shape[0]
+    for s in range(runs):
+        for a in range(n):
+            value = 0.0
+            for j in range(m):
+                if weight[j, s] != 0.0:
+                    value += weight[j, s] * (mean[a, j * runs + s] - mean[a, s])
+            mean_out[a, s] = mean[a, s] + value
+    for a in range(n):
+        for b in range(a + 1):
+            for s in range(runs):
+                value = 0.0
+                for j in range(m):
+                    if weight[j, s] != 0.0:
+                        c = j * runs + s
+                        value += weight[j, s] * (covariance[a, b, c] + (mean[a, c] - mean_out[a, s])
+                                                 * (mean[b, c] - mean_out[b, s]))
+                covariance_out[a, b, s] = value
+                covariance_out[b, a, s] = value

@@ -1,0 +1,102 @@
+"""Several design models of the same states as one: mode j of run s is column j S + s of every array.
+
+So one filter of the suite, unchanged, runs all modes at once; functions that modes share are called once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...scenarios.arrays import Array
+from ...scenarios.measurement import Interval, Measurement, PerRun
+from ...scenarios.model import DesignModel, Mode
+
+
+def repeated(value: Any, m: int) -> Any:
+    """An array whose last axis is the runs, or a number, for m modes."""
+    array = np.asarray(value)
+    return value if array.ndim == 0 or array.shape[-1] == 1 else np.tile(array, m)
+
+
+def interval_of(interval: Interval, m: int) -> Interval:
+    """The interval for m modes."""
+    return Interval(interval.step, *(repeated(part, m) for part in interval[1:]))
+
+
+def measurement_of(measurement: Measurement, m: int) -> Measurement:
+    """The measurement for m modes."""
+    covariance = measurement.covariance
+    return measurement._replace(y=np.tile(measurement.y, m), received=np.tile(measurement.received, m),
+                                time=repeated(measurement.time, m),
+                                covariance=None if covariance is None else repeated(covariance, m))
+
+
+def stacked(modes: Sequence[Mode], runs: int) -> DesignModel:
+    """The design model of all modes of `runs` runs. Its functions are to be asked with arrays of m S columns only."""
+    models = [mode.model for mode in modes]
+    m = len(models)
+
+    def each(name: str) -> Callable[..., Array] | None:
+        """A model function, mode by mode, or once where all have the same."""
+        functions = [getattr(model, name) for model in models]
+        if any(function is None for function in functions):
+            return None
+        if all(function == functions[0] for function in functions):
+            return functions[0]
+
+        def split(*arguments: Any) -> Array:
+            parts = []
+            for j, function in enumerate(functions):
+                mine = slice(j * runs, (j + 1) * runs)
+                parts.append(function(*(_cut(a, mine, m * runs) for a in arguments)))
+            return np.concatenate([np.broadcast_to(p, (*p.shape[:-1], runs)) for p in parts], axis=-1)
+
+        return split
+
+    return replace(
+        models[0], transition=each("transition"), measurement=each("measurement"),  # pyright: ignore
+        transition_jacobian=each("transition_jacobian"), measurement_jacobian=each("measurement_jacobian"),
+        process_covariance=each("process_covariance"), measurement_covariance=each("measurement_covariance"),
+        initial_mean=np.concatenate([model.initial_mean for model in models], axis=1),
+        initial_covariance=np.concatenate([np.broadcast_to(model.initial_covariance, (
+            *model.initial_covariance.shape[:2], runs)) for model in models], axis=2),
+        linear=None, bounds=None, modes=None)
+
+
+def _cut(value: Any, mine: slice, columns: int) -> Any:
+    """The columns of one mode of an argument of a model function."""
+    if isinstance(value, Interval | Measurement):
+        return type(value)(*(_cut(part, mine, columns) for part in value))
+    if isinstance(value, np.ndarray) and value.ndim and value.shape[-1] == columns:
+        return np.ascontiguousarray(value[..., mine])
+    return value
+
+
+def power_of(transition: Array) -> Callable[[PerRun], Array]:
+    """p -> transition^p (m, m, S or 1), p in 0..1 a number or (S,).
+
+    Raises ValueError where a power is no transition matrix."""
+    values, vectors = np.linalg.eig(transition)
+    if (np.iscomplexobj(values) and np.abs(values.imag).max() > 1e-12) or values.real.min() <= 0:
+        raise ValueError("the modes' transition matrix has no powers that are transition matrices")
+    values, vectors = values.real, vectors.real
+    inverse = np.linalg.inv(vectors)
+    parts = np.stack([vectors[:, i, None] * inverse[i] for i in range(len(values))])
+    whole = transition[:, :, None]
+    m = len(values)
+
+    def power(p: PerRun) -> Array:
+        share = np.atleast_1d(np.asarray(p, dtype=float))
+        if (share == 1.0).all():
+            return whole
+        out = np.zeros((m, m, len(share)))
+        for part, value in zip(parts, values, strict=True):
+            out += part[:, :, None] * value**share
+        out = np.maximum(out, 0.0)
+        out = np.where(share == 1.0, whole, np.where(share == 0.0, np.eye(m)[:, :, None], out))
+        return out
+
+    return power
