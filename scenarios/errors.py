@@ -48,13 +48,13 @@ def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
     """The keys of an error's place, without what pydantic adds for one of several allowed types or kinds of table."""
     for part in loc:
         if isinstance(table, dict):
-            if table.get("kind") == part and part not in table:
+            if part in (table.get("kind"), table.get("form")) and part not in table:
                 continue
             table = table.get(part)
         elif table is not None and isinstance(part, str):
             continue
         else:
-            table = None
+            table = table[part] if isinstance(table, list) and isinstance(part, int) and part < len(table) else None
         yield str(part)
 
 
@@ -64,7 +64,8 @@ def _allowed(model: type[BaseModel], loc: tuple[int | str, ...]) -> str:
     for part in loc[:-1]:
         fields = [table.model_fields[str(part)] for table in tables if part in table.model_fields]
         inside = [inner for field in fields for inner in _models(field.annotation)]
-        chosen = [table for table in tables if part in (table.__name__, *_kinds(table.model_fields.get("kind")))]
+        chosen = [table for table in tables if part in (
+            table.__name__, *(kind for key in ("kind", "form") for kind in _kinds(table.model_fields.get(key))))]
         tables = inside or chosen or tables
     return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields)) or "none"
 

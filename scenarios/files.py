@@ -18,12 +18,13 @@ from pydantic import BaseModel, ValidationError
 
 from .errors import InputError, describe
 from .registry import scenario_files, setting_for, settings
+from .requirements import check
 from .schema import LABEL
 from .setting import Setting
 
 MISSING = object()
 VARIANT_KEYS = {"title", "default", "notes", "origin", "fitted", "time", "plant", "disturbance", "sensors", "channel",
-                "knowledge", "score", "estimators"}
+                "knowledge", "score", "requirements", "estimators"}
 
 
 DISPLAY = {"name", "title", "source", "notes", "origin", "fitted", "default", "estimators"}
@@ -160,6 +161,8 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
     known = [item.name for item in setting.quantities()]
     mistakes = [f"score.divergence.{name}: no such quantity; allowed: {', '.join(known)}"
                 for name in setting.config.score.divergence if name not in known]
+    single = [item.name for item in setting.quantities() if len(item.components) == 1]
+    mistakes += check(setting.config.requirements, single, setting.references)
     for label, entry in setting.config.estimators.items():
         try:
             setting.resolve_knowledge(entry.knowledge)

@@ -6,19 +6,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from .requirements import Requirement
+from .strict import Strict
 
 Probability = Annotated[float, Field(gt=0, le=1)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
 LABEL = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 """What variants and estimators of a scenario may be called, since names of files and rows are made of it."""
 Label = Annotated[str, Field(pattern=LABEL)]
-
-
-class Strict(BaseModel):
-    """Base of every table of a scenario file: no unknown keys, no changes after loading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
 
 
 class Empty(Strict):
@@ -61,7 +58,7 @@ class ScenarioConfig(Strict):
 
     origin: where a number comes from, by its dotted key (`"plant.mass" = "paper, Table I"`); notes: what a reader of
     the tables must know; fitted: parameters the source does not print that were chosen to hit its numbers. default =
-    false: a variant that runs only when asked for by its name."""
+    false: a variant that runs only when asked for by its name. requirements: what is asked of every estimator."""
 
     name: Name
     title: str
@@ -77,6 +74,7 @@ class ScenarioConfig(Strict):
     channel: Strict = Empty()
     knowledge: Strict = Empty()
     score: Score = Score()
+    requirements: list[Requirement] = []
     estimators: Annotated[dict[Label, EstimatorEntry], Field(min_length=1)]
 
     @model_validator(mode="after")

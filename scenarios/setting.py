@@ -45,7 +45,8 @@ class Setting(ABC, Generic[ConfigT]):
     kind: the value of `plant.kind` that selects it. Config: its schema. files: its scenario files, beside its module.
     user_files: keys of [plant] that may hold the path of a file of the user's (from the scenario file's own folder on),
     whose content then belongs to the scenario's. needs_file: the dotted key of such a file without which nothing can
-    run. shown: (unit, factor) in which tables print outcomes that are no scored quantity, by name."""
+    run. shown: (unit, factor) in which tables print outcomes that are no scored quantity, by name. references: whether
+    its worlds tell of places known on the way (`Step.reference`)."""
 
     kind: ClassVar[str]
     Config: ClassVar[type[ScenarioConfig]]
@@ -53,6 +54,7 @@ class Setting(ABC, Generic[ConfigT]):
     user_files: ClassVar[tuple[str, ...]] = ()
     needs_file: ClassVar[str] = ""
     shown: ClassVar[dict[str, tuple[str, float]]] = {}
+    references: ClassVar[bool] = False
 
     def __init__(self, config: ConfigT) -> None:
         self.config = config

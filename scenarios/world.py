@@ -44,7 +44,8 @@ class Step:
     any more). scored (nt, S): elements of the truth that still count in runs under way (one of several trains may have
     finished); None: all of them. window (S,): index of the world's named window each run is in (a section of a trip),
     -1 for none. number: of the step the interval leads to, 0 being the start. start, length: of the interval, s,
-    numbers or (S,)."""
+    numbers or (S,). reference (2, S): where the last place known on the way (a balise that was read) lies as told and
+    in truth, NaN before the first."""
 
     u: Array
     events: tuple[Event, ...]
@@ -55,6 +56,7 @@ class Step:
     number: int = FIRST_EDITION
     start: PerRun = 0.0
     length: PerRun = 0.0
+    reference: Array | None = None
 
 
 class World(Protocol):

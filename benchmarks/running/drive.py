@@ -17,6 +17,7 @@ from ...scenarios.randomness import RunRandom
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
 from ..scoring.innovations import InnovationScore
+from ..scoring.requirements import RequirementScores
 from ..scoring.scorer import Scored, Scorer
 from ..scoring.windows import WindowErrors
 from .loop import Loop, Observer
@@ -49,6 +50,7 @@ class _Scoring(Observer):
                              model.performance)
         self.innovations = InnovationScore(self.runs, world.steps, self.skip)
         self.windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), self.runs)
+        self.requirements = RequirementScores(setting.config.requirements, setting.quantities(), self.runs, world.steps)
         self.predicted_wanted = score.at == "prediction" and estimator.predicts
         self.updated_wanted = not self.predicted_wanted
         self.k, self.good = 0, tuple[Any, ...]()
@@ -58,6 +60,7 @@ class _Scoring(Observer):
         self.scorer.add(k, self._checked(estimate, step), step)
         if k >= self.skip:
             self.windows.add(estimate, step)
+            self.requirements.add(k, estimate, step)
         if self.watch:
             self.watch(k, estimate, step)
         self.seconds += perf_counter() - begun
@@ -103,7 +106,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     bad = found.status != 0
     found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})
     found.curves["nis"], found.curves["nis-count"] = scoring.innovations.curve.T
-    outcomes = {**scoring.windows.finish(), **setting.outcomes(world, found.metrics)}
+    outcomes = {**scoring.windows.finish(), **scoring.requirements.finish(), **setting.outcomes(world, found.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}

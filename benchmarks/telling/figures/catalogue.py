@@ -17,6 +17,7 @@ from .moving_block import gap_over_time, track, trains_over_time
 from .random_access import trace_and_bounds
 from .ranks import critical_difference
 from .recorded import errors_by_outage, recorded_trip
+from .requirements import claim_against_error, error_under_allowance, width_against_misses
 from .sections import errors_by_section
 from .trust import certified_against_measured, nees_over_time, nis_over_time
 
@@ -56,6 +57,16 @@ FIGURES: tuple[Figure, ...] = (
     Figure("example", "An example run",
            "The first kept run: the truth of each quantity, and below it the error of every estimator; where some are "
            "many times larger (off), what of them fits in.", example_run),
+    Figure("allowance", "Error under the allowance",
+           "First kept run: error of the distance travelled since the last balise (marks at the foot), and what is "
+           "allowed of it, which grows from balise to balise: fewer balises can give a better verdict.",
+           error_under_allowance),
+    Figure("width-misses", "Width of the claim against its misses",
+           "Lower left is better. The dashed line is the share of misses that the requirement admits.",
+           width_against_misses),
+    Figure("stanford", "Claim against error",
+           "First kept run, a point a step. In the grey the claimed interval misses the truth: hazardous where the "
+           "interval is relied on.", claim_against_error),
     Figure("critical-difference", "Ranks over all variants",
            "Mean rank over all runs of all variants. Bars on the right join estimators that Wilcoxon's test with "
            "Holm's correction does not tell apart, or that differ by less than 1 %.", draw_all=critical_difference),

@@ -1,0 +1,122 @@
+"""Scoring what a scenario requires: shares of time inside, largest use of an allowance, errors at the stop, claims.
+
+What is looked at is kept step by step and worked out at the end, run by run, so that no batch changes a bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...estimators.interface import Estimate
+from ...scenarios.arrays import Array
+from ...scenarios.requirements import Allowance, Confidence, Percentile, Requirement, Speed, Stop
+from ...scenarios.setting import Outcome, Quantity
+from ...scenarios.world import Step
+from .requirement_kernels import claims, drifts, percentiles, shares
+
+PERCENTILES = (50.0, 95.0, 99.0)
+DISTANCES = (10.0, 100.0, 1000.0)
+"""Metres travelled over which the change of a position's error is told."""
+
+
+class RequirementScores:
+    """Of one estimator on S runs; no requirements, no work and no memory.
+
+    Kept, (K, S) each: the error of every quantity asked about, the half-width claimed for it (one standard deviation,
+    or the whole of a set), whether the step counts; the truth of each; distance since the last reference and the error
+    of its place on the map."""
+
+    def __init__(self, requirements: Sequence[Requirement], quantities: Sequence[Quantity], runs: int,
+                 steps: int) -> None:
+        self.requirements, self.runs = tuple(requirements), runs
+        named = {item.name: item for item in quantities if len(item.components) == 1}
+        self.quantities = [named[name] for name in dict.fromkeys(
+            item.quantity for item in requirements)]
+        n = len(self.quantities)
+        shape = (steps if n else 0, n, runs)
+        self.error, self.claim, self.truth = (np.full(shape, np.nan) for _ in range(3))
+        self.counts, self.active = np.zeros(shape, dtype=bool), np.zeros((shape[0], runs), dtype=bool)
+        referred = any(isinstance(item, Allowance) for item in requirements)
+        self.reference = np.full((shape[0] if referred else 0, 2, runs), np.nan)
+        self.sets = np.zeros(n, dtype=bool)
+        self.steps = 0
+
+    def add(self, k: int, estimate: Estimate, step: Step) -> None:
+        """Keep what step k says."""
+        if not self.quantities:
+            return
+        self.steps, self.active[k] = k + 1, step.active
+        vector = estimate.mean
+        for q, item in enumerate(self.quantities):
+            (i, w), = item.components
+            if i >= len(vector):
+                if estimate.parameter is None or i >= len(vector) + len(estimate.parameter):
+                    continue
+                value = estimate.parameter[i - len(vector)]
+            else:
+                value = vector[i]
+            self.error[k, q], self.truth[k, q] = w * (value - step.truth[i]), w * step.truth[i]
+            self.counts[k, q] = step.active if step.scored is None else step.active & step.scored[i]
+            matrix = estimate.covariance if estimate.covariance is not None else estimate.ellipsoid
+            if matrix is not None and i < len(matrix):
+                self.claim[k, q] = abs(w) * np.sqrt(np.maximum(matrix[i, i], 0.0))
+                self.sets[q] = estimate.covariance is None
+        if len(self.reference) and step.reference is not None:
+            self.reference[k] = step.reference
+
+    def finish(self) -> dict[Outcome, Array]:
+        """{(metric, requirement or quantity, unit): (S,)}; NaN where nothing was claimed or nothing counts."""
+        if not self.quantities:
+            return {}
+        out: dict[Outcome, Array] = {}
+        take = slice(0, self.steps)
+        kept: dict[str, tuple[Array, ...]] = {}
+        for q, item in enumerate(self.quantities):
+            parts = (self.error[take, q], self.claim[take, q], self.truth[take, q], self.counts[take, q])
+            kept[item.name] = tuple(np.ascontiguousarray(part.T) for part in parts)
+            error, _, truth, counts = kept[item.name]
+            found = percentiles(error, counts, np.array(PERCENTILES))
+            out.update({(f"p{percent:.0f}", item.name, item.unit): found[i] for i, percent in enumerate(PERCENTILES)})
+            if len(self.reference):
+                drift = drifts(error, truth, counts, np.array(DISTANCES))
+                out.update({(f"change-{distance:.0f}m", item.name, item.unit): drift[i]
+                            for i, distance in enumerate(DISTANCES) if item.unit == "m"})
+        for asked in self.requirements:
+            q = next(i for i, item in enumerate(self.quantities) if item.name == asked.quantity)
+            out.update(self._one(asked, *kept[asked.quantity], self.quantities[q].unit, bool(self.sets[q])))
+        return out
+
+    def _one(self, asked: Requirement, error: Array, claim: Array, truth: Array, counts: Array, unit: str,
+             is_set: bool) -> dict[Outcome, Array]:
+        """The columns of one requirement."""
+        name = asked.name
+        if isinstance(asked, Stop):
+            last = self.active[:self.steps].sum(axis=0) - 1
+            final = np.abs(error[np.arange(self.runs), np.maximum(last, 0)])
+            return {("kept", name, "1"): _known(final <= asked.within, final), ("error", name, unit): final}
+        if isinstance(asked, Percentile):
+            value = percentiles(error, counts, np.array([asked.percent]))[0]
+            return {("kept", name, "1"): _known(value <= asked.limit, value),
+                    (f"p{asked.percent:g}", name, unit): value}
+        if isinstance(asked, Confidence):
+            inside, median, needed = claims(error, claim, counts, 1.0 if is_set else asked.k)
+            return {("kept", name, "1"): _known(inside >= 1.0, inside), ("inside", name, "1"): inside,
+                    ("half-width", name, unit): median, ("k99", name, "1"): needed}
+        if isinstance(asked, Speed):
+            points = np.array(asked.points)
+            limit = np.interp(truth, points[:, 0], points[:, 1])
+        else:
+            told, true = (np.ascontiguousarray(self.reference[:self.steps, i].T) for i in range(2))
+            away = truth - true
+            error = error - (told - true)
+            limit = asked.constant + asked.share * np.abs(away + error if asked.s == "measured" else away)
+            counts = counts & np.isfinite(true)
+        inside, use, over, under = shares(error, limit, counts)
+        out = {("kept", name, "1"): _known(use <= 1.0, use), ("inside", name, "1"): inside, ("use", name, "1"): use}
+        return {**out, ("over", name, unit): over, ("under", name, unit): under}
+
+
+def _known(kept: Array, value: Array) -> Array:
+    """1 where kept, 0 where not, NaN where there is no value to go by."""
+    return np.where(np.isnan(value), np.nan, np.asarray(kept, dtype=float))
