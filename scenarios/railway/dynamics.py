@@ -101,7 +101,8 @@ def damping(v, u, forces):  # pyright: ignore
 
 
 @njit(cache=True, error_model="numpy")
-def _climbs(s, slope, out):  # pyright: ignore
+def climbs(s, slope, out):  # pyright: ignore
+    """out[r] = climb(s[r])."""
     for r in range(s.shape[0]):
         out[r] = climb(s[r], slope)
 
@@ -120,7 +121,7 @@ def transition(x, u, h, forces, slope, steep, out):  # pyright: ignore
 
     x, out (2, P, S); u, h (S,); steep (P, S) is for scratch."""
     for p in range(x.shape[1]):
-        _climbs(x[0, p], slope, steep[p])
+        climbs(x[0, p], slope, steep[p])
     for p in range(x.shape[1]):
         _advance(x[0, p], x[1, p], u, h, steep[p], forces, out[0, p], out[1, p])
 

@@ -1,0 +1,82 @@
+"""Dead reckoning with relocation: the design model run forward, its position taken over from whatever tells the place.
+
+What railways do without a filter: count wheel turns, set the count at every balise."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from ..scenarios.arrays import Array
+from ..scenarios.errors import Unsupported
+from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.model import DesignModel
+from ..scenarios.randomness import RunRandom
+from .interface import Estimate, Estimator, Innovation, Parameters
+
+
+class RelocationParameters(Parameters):
+    """Which measurements relocate, and how fast the claim grows between them."""
+
+    by: list[str] = Field(["balise"], min_length=1, description="measurements that set the first state")
+    scale: float = Field(0.00577, ge=0, description="claimed standard deviation of what is travelled since, as a share "
+                         "of it (0.00577: uniform within 1 %)")
+
+
+class Relocation(Estimator):
+    """x = f(x, u); at a relocating measurement the first state becomes what is measured.
+
+    Claims for the first state sd^2 = r + (scale d)^2, with r the measurement's own variance (the start's before the
+    first) and d what was travelled since by the model's own count."""
+
+    Parameters = RelocationParameters
+    summary = "dead reckoning, set anew by every measurement of the place"
+    source = "the usual practice of train odometry (SUBSET-026, 3.6.4: location by the last balise group)"
+    claims = ("covariance",)
+    honours = ("covariance",)
+    needs: ClassVar[tuple[str, ...]] = ("measurement_covariance",)
+
+    def design(self, model: DesignModel) -> dict[str, Any]:
+        """Raises Unsupported where the model measures nothing of `by`."""
+        strays = [name for name in self.parameters.by if name not in model.measurements]
+        if strays:
+            raise Unsupported(f"by = {strays}: not among this scenario's measurements "
+                              f"({', '.join(model.measurements)})")
+        return {}
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self.rows = [model.measurements.index(name) for name in self.parameters.by]
+        self._mean = np.array(model.initial_mean, dtype=float)
+        self._fixed = np.repeat(model.initial_covariance[0, 0], runs // model.initial_covariance.shape[2])
+        self._gone = np.zeros(runs)
+        self._covariance = np.empty((1, 1, runs))
+
+    def predict(self, u: Array, interval: Interval) -> None:
+        before = self._mean[0]
+        self._mean = self.model.transition(self._mean, u, interval)
+        self._gone = self._gone + np.abs(self._mean[0] - before)
+
+    def update(self, measurement: Measurement) -> Innovation | None:
+        if not measurement.received[self.rows].any():
+            return None
+        assert self.model.measurement_covariance is not None
+        R = self.model.measurement_covariance(measurement)
+        for row in self.rows:
+            got = measurement.received[row]
+            self._mean[0] = np.where(got, measurement.y[row], self._mean[0])
+            self._fixed = np.where(got, R[row, row], self._fixed)
+            self._gone = np.where(got, 0.0, self._gone)
+        return None
+
+    def estimate(self) -> Estimate:
+        self._covariance[0, 0] = self._fixed + (self.parameters.scale * self._gone) ** 2
+        return Estimate(self._mean, covariance=self._covariance)
+
+    def snapshot(self) -> Any:
+        return self._mean.copy(), self._fixed.copy(), self._gone.copy()
+
+    def restore(self, snapshot: Any) -> None:
+        self._mean, self._fixed, self._gone = (part.copy() for part in snapshot)

@@ -1,0 +1,37 @@
+"""Slip of each axle as modes: whole design models in which a slipping axle's reading is worth next to nothing."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..arrays import Array
+from ..model import Mode, Modes
+from .told import Odometer
+
+
+def slip_modes(odometer: Odometer, initial_mean: Array, sensors: Sequence[str], tells: tuple[str, ...]) -> Modes | None:
+    """Every combination of slipping axles, none first; axles slip and recover independently of each other.
+
+    None where nothing could slip: dead reckoning, or no wheels measured."""
+    wheels = [name for name in sensors if name.startswith("wheel-")]
+    if odometer.told.motion != "accelerometer" or not wheels:
+        return None
+    slip, period = odometer.told.slip, odometer.period
+    modes, transition = [], np.ones((1, 1))
+    # over a whole step of the two-state chain with these rates, exactly
+    total = slip.enter + slip.leave
+    moved = 1.0 - np.exp(-total * period)
+    enter, leave = slip.enter / total * moved, slip.leave / total * moved
+    axle = np.array([[1 - enter, enter], [leave, 1 - leave]])
+    for pattern in itertools.product((False, True), repeat=len(wheels)):
+        slipping = tuple(name for name, slips in zip(wheels, pattern, strict=True) if slips)
+        name = " and ".join(name.removeprefix("wheel-") for name in slipping)
+        modes.append(Mode(f"slip of {name}" if name else "no slip", odometer.model(initial_mean, tells, slipping)))
+    for _ in wheels:
+        transition = np.kron(transition, axle)
+    prior = np.zeros(len(modes))
+    prior[0] = 1.0
+    return Modes(tuple(modes), prior, transition)

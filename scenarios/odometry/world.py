@@ -1,0 +1,129 @@
+"""The world of an odometry scenario: measurements at the end of each step, balises at their instants inside steps.
+
+A step's first events are its balises, each a prediction up to it and a reading of its own; its last has the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array, Mask
+from ..sensors.balise import Passages
+from ..world import Event, Step
+from .plant import Ride
+
+PHASES = ("accelerating", "coasting", "braking")
+"""Of a moving train: mean acceleration over a step above, within or under +-`COASTING`."""
+COASTING = 0.1
+
+
+def phases(ride: Ride, moving: float) -> NDArray[np.int16]:
+    """The phase (K, S) of each step, -1 at a stand."""
+    a = ride.acceleration
+    phase = np.where(a > COASTING, 0, np.where(a < -COASTING, 2, 1))
+    return np.where(ride.state[:, 1] > moving, phase, -1).astype(np.int16)
+
+
+@dataclass(frozen=True)
+class OdometryWorld:
+    """An open-loop world. truth (K, nt, S), u (K, 10, S), y, received, variance (K, ny, S): variance is what each
+    sensor tells; heard (K, ny, S): what the channel lets through; balise: its place among the measurements (-1: none),
+    start: the first stop, m. extra: what figures want."""
+
+    truth: Array
+    u: Array
+    y: Array
+    received: Mask
+    variance: Array
+    active: Mask
+    period: float
+    balise: int
+    heard: Mask
+    passages: Passages
+    ride: Ride
+    balise_variance: Array
+    start: float
+    moving: float
+    windows: tuple[str, ...]
+    window: NDArray[np.int16]
+    closed_loop: bool = False
+    extra: dict[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # the readings in time order: (step, event) -> runs, shares of the step, balises
+        object.__setattr__(self, "readings", dict(self._readings()))
+        reference = np.full((self.steps, 2, self.truth.shape[2]), np.nan)
+        for step in sorted(self.readings):
+            for runs, _, balises in self.readings[step]:
+                reference[step:, 0, runs] = self.passages.told[balises, runs]
+                reference[step:, 1, runs] = self.passages.place[balises, runs]
+        object.__setattr__(self, "reference", reference)
+        slides = self.ride.slipping.astype(float)
+        self.extra.update({"since-reference": self.truth[:, 0] - reference[:, 1],
+                           "reference-error": reference[:, 0] - reference[:, 1], "slide-a": slides[:, 0],
+                           "slide-b": slides[:, 1]})
+
+    readings: dict[int, list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]]] = field(init=False)
+    reference: Array = field(init=False)
+
+    def _readings(self) -> Iterator[tuple[int, list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]]]]:
+        """For each step with readings a list of events: (runs, share of the step before it, balise of each run)."""
+        if self.balise < 0:
+            return
+        read = self.passages.read & np.isfinite(self.ride.passed)
+        balise, run = np.nonzero(read)
+        step = np.minimum((self.ride.passed[balise, run] / self.period).astype(np.int64), self.steps - 1)
+        share = np.clip(self.ride.passed[balise, run] / self.period - step, 0.0, 1.0)
+        got = self.heard[step, self.balise, run]
+        balise, run, step, share = balise[got], run[got], step[got], share[got]
+        order = np.lexsort((share, run, step))
+        balise, run, step, share = balise[order], run[order], step[order], share[order]
+        for k in np.unique(step).tolist():
+            inside = np.flatnonzero(step == k)
+            turn = np.concatenate([np.arange(n) for n in np.unique(run[inside], return_counts=True)[1]])
+            yield k, [(run[inside[turn == n]], share[inside[turn == n]], balise[inside[turn == n]])
+                      for n in range(int(turn.max()) + 1)]
+
+    @property
+    def steps(self) -> int:
+        return self.truth.shape[0]
+
+    @property
+    def lengths(self) -> Array:
+        return np.full(self.steps, self.period)
+
+    @property
+    def initial_mean(self) -> Array:
+        mean = np.zeros(self.truth.shape[1:])
+        mean[0] = self.start
+        return mean
+
+    def step(self, k: int, mean: Array) -> Step:
+        ny, runs = self.y.shape[1:]
+        events: list[Event] = []
+        gone: Array | float = 0.0
+        for who, share, balise in self.readings.get(k, ()):
+            at = np.array(np.broadcast_to(gone, (runs,)))
+            at[who] = share
+            y, received, covariance = np.zeros((ny, runs)), np.zeros((ny, runs), dtype=bool), self._told(k)
+            y[self.balise, who] = self.passages.told[balise, who]
+            received[self.balise, who] = True
+            covariance[self.balise, self.balise, who] = self.balise_variance[balise]
+            events.append(Event(at - gone, y, received, covariance))
+            gone = at
+        events.append(Event(1.0 - gone, self.y[k], self.received[k], self._told(k)))
+        truth, reference = self.truth[k], self.reference[k]
+        counts = (truth[1] > self.moving) & np.isfinite(reference[1])
+        return Step(self.u[k], tuple(events), truth, self.active[k], np.broadcast_to(counts, truth.shape),
+                    self.window[k], k + 1, k * self.period, self.period, reference=reference)
+
+    def _told(self, k: int) -> Array:
+        """What the sensors tell of their readings (ny, ny, S)."""
+        ny, runs = self.y.shape[1:]
+        out = np.zeros((ny, ny, runs))
+        for i in range(ny):
+            out[i, i] = self.variance[k, i]
+        return out

@@ -1,0 +1,56 @@
+"""Wheel sensors: pulses counted per axle, a diameter that is not quite the nominal one, and the noise they tell."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from ..arrays import Array, Mask
+from ..randomness import RunRandom
+from ..schema import Strict
+
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Wheel(Strict):
+    """diameter m, as nominal; pulses per turn; diameter_error: the true one is larger by a share uniform within +-
+    this, per axle and run; phase: the counter starts within [least, most] of a pulse.
+
+    creep: what the sensor tells of micro-slip, a standard deviation as a share of the speed; quiet s, quiet_sd m/s:
+    what it tells after so long a stand without pulses."""
+
+    diameter: PositiveFloat
+    pulses: PositiveInt
+    diameter_error: Annotated[float, Field(ge=0, lt=0.5)]
+    phase: Pair = [0.0, 1.0]
+    creep: NonNegativeFloat = 0.003
+    quiet: PositiveFloat = 1.0
+    quiet_sd: PositiveFloat = 0.02
+
+    @property
+    def pulse(self) -> float:
+        """Nominal distance per pulse q, m."""
+        return np.pi * self.diameter / self.pulses
+
+    def count(self, rolled: Array, random: RunRandom) -> tuple[Array, Array]:
+        """Pulses counted (K, n, S) of n axles whose wheels rolled (K, n, S) m, whole numbers, and how much too far a
+        wheel reads for its diameter (n, S), as a share."""
+        axles = rolled.shape[1]
+        scale = 1.0 + self.diameter_error * random.uniform(-1.0, 1.0, axles)
+        phase = self.phase[0] + (self.phase[1] - self.phase[0]) * random.uniform(0.0, 1.0, axles)
+        return np.floor(rolled / (scale * self.pulse) + phase), 1.0 / scale - 1.0
+
+    def travelled(self, counts: Array) -> Array:
+        """Distance (K, n, S) m by the nominal diameter in each step."""
+        return self.pulse * np.diff(counts, axis=0, prepend=0.0)
+
+    def variance(self, speed: Array, standing: Mask, period: float) -> Array:
+        """What the sensor tells of its speed readings (K, n, S) m/s: quantisation of the count's difference, creep;
+        after a stand (standing (K, S)) without pulses for `quiet` seconds less."""
+        noise = (self.pulse / np.sqrt(6.0) / period) ** 2 + (self.creep * speed) ** 2
+        still = (speed == 0.0) & standing[:, None]
+        steps = np.arange(len(speed))[:, None, None]
+        since = steps - np.maximum.accumulate(np.where(still, -1, steps), axis=0)
+        return np.where(still & (since * period > self.quiet), self.quiet_sd**2, noise)
