@@ -1,0 +1,178 @@
+"""The multiple model filter over design models against a loop written from the textbook, and against the grid's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from railstate.estimators.interface import Estimator
+from railstate.estimators.multiple_model.hypotheses import InteractingModels
+from railstate.estimators.multiple_model.imm import InteractingMultipleModel
+from railstate.estimators.multiple_model.stacked import power_of
+from railstate.estimators.relocation import Relocation
+from railstate.scenarios.errors import Unsupported
+from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Interval, Measurement
+from railstate.scenarios.model import DesignModel, Mode, Modes
+from railstate.scenarios.randomness import Streams
+
+from ..models import heard, whole
+
+
+def odometry(runs: int = 2, variant: str = "wet-radar") -> tuple[Any, DesignModel]:
+    setting = load("odometry").setting(variant)
+    world = setting.world(Streams(1, "odometry", variant, range(runs)))
+    return world, setting.design_model({}, world.initial_mean)
+
+
+def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """IMM of extended Kalman filters, full matrices, one run: mean (steps, nx), log-likelihood (steps,)."""
+    assert model.modes is not None and model.modes.transition is not None
+    models, T = [mode.model for mode in model.modes.modes], model.modes.transition
+    values, vectors = np.linalg.eigh((T + T.T) / 2) if np.allclose(T, T.T) else np.linalg.eig(T)
+    w = model.modes.prior.copy()
+    x = [one.initial_mean[:, run:run + 1] for one in models]
+    P = [one.initial_covariance[:, :, 0] for one in models]
+    means, logs = [], []
+    for k in range(steps):
+        step = world.step(k, world.initial_mean)
+        gone, total = 0.0, 0.0
+        for number, event in enumerate(step.events):
+            share = float(np.broadcast_to(event.share, (world.truth.shape[2],))[run])
+            interval = Interval(k + 1, step.start + gone * 0.1, 0.1 * share, share)
+            if share > 0:
+                power = (vectors * values**share) @ np.linalg.inv(vectors)
+                mixed = w @ power
+                mu = power * w[:, None] / mixed
+                means0 = [sum(mu[i, j] * x[i] for i in range(len(w))) for j in range(len(w))]
+                P = [sum(mu[i, j] * (P[i] + (x[i] - means0[j]) @ (x[i] - means0[j]).T) for i in range(len(w)))
+                     for j in range(len(w))]
+                x, w = means0, mixed
+            logs_of = np.zeros(len(w))
+            for j, one in enumerate(models):
+                u = step.u[:, run:run + 1]
+                if share > 0:
+                    F = one.transition_jacobian(x[j], u, interval)[:, :, 0]
+                    Q = one.process_covariance(x[j], u, interval)[:, :, 0]
+                    x[j], P[j] = one.transition(x[j], u, interval), F @ P[j] @ F.T + Q
+                got = np.flatnonzero(event.received[:, run])
+                if len(got):
+                    told = Measurement(event.y[:, run:run + 1], event.received[:, run:run + 1], k + 1, number,
+                                       0.0, event.covariance[:, :, run:run + 1])
+                    H = one.measurement_jacobian(x[j], k + 1)[got, :, 0]
+                    R = one.measurement_covariance(told)[np.ix_(got, got)][:, :, 0]
+                    e = event.y[got, run] - one.measurement(x[j], k + 1)[got, 0]
+                    S = H @ P[j] @ H.T + R
+                    K = P[j] @ H.T @ np.linalg.inv(S)
+                    x[j], P[j] = x[j] + (K @ e)[:, None], (np.eye(len(P[j])) - K @ H) @ P[j]
+                    logs_of[j] = -0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(2 * np.pi * S)[1])
+            top = logs_of.max()
+            w = w * np.exp(logs_of - top)
+            total += top + np.log(w.sum())
+            w = w / w.sum()
+            gone += share
+        means.append(sum(w[j] * x[j][:, 0] for j in range(len(w))))
+        logs.append(total)
+    return np.array(means), np.array(logs)
+
+
+def follow(estimator: Estimator, model: DesignModel, world: Any, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    runs = world.truth.shape[2]
+    estimator.design(model)
+    estimator.start(model, runs, Streams(1, "odometry", "x", range(runs))("estimator", "x"))
+    means, logs = [], []
+    for k in range(steps):
+        step, gone, log = world.step(k, world.initial_mean), 0.0, np.zeros(runs)
+        for number, event in enumerate(step.events):
+            estimator.predict(step.u, Interval(k + 1, step.start + gone * 0.1, event.share * 0.1, event.share))
+            gone = gone + event.share
+            found = estimator.update(Measurement(event.y, event.received, k + 1, number, 0.0, event.covariance))
+            log = log + (found.log_likelihood if found is not None and found.log_likelihood is not None else 0.0)
+        means.append(estimator.estimate().mean.copy())
+        logs.append(log)
+    return np.array(means), np.array(logs)
+
+
+def test_it_is_the_textbook_s_loop() -> None:
+    """Odometry with slip modes over the start, the first balise and a low stretch: mean and log-likelihood."""
+    world, model = odometry()
+    steps = 420
+    means, logs = follow(InteractingModels(), model, world, steps)
+    for run in range(2):
+        wanted, wanted_logs = textbook(model, world, run, steps)
+        np.testing.assert_allclose(means[:, :, run], wanted, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(logs[:, run], wanted_logs, rtol=0, atol=1e-6)
+
+
+def test_on_a_grid_of_linear_models_it_is_the_grid_s_filter() -> None:
+    setting = load("braking-rate").setting("paper")
+    world = setting.world(Streams(1, "braking-rate", "paper", range(3)))
+    model = setting.design_model({}, world.initial_mean)
+    grid, general = InteractingMultipleModel({"stay": 0.9}), InteractingModels({"stay": 0.9})
+    for estimator in (grid, general):
+        estimator.start(model, 3, Streams(1, "braking-rate", "paper", range(3))("estimator", "x"))
+    for k in range(15):
+        for estimator in (grid, general):
+            estimator.predict(world.u[k], whole(k))
+            estimator.update(heard(world.y[k], world.received[k], k))
+        np.testing.assert_allclose(general.estimate().mean, grid.estimate().mean, rtol=0, atol=1e-9)
+
+
+def test_no_batch_and_no_other_run_s_events_change_a_bit() -> None:
+    world, model = odometry(3)
+    alone, lonely = odometry(1)
+    many, _ = follow(InteractingModels(), model, world, 300)
+    one, _ = follow(InteractingModels(), lonely, alone, 300)
+    np.testing.assert_array_equal(many[:, :, :1], one)
+
+
+def test_powers_of_a_transition_matrix() -> None:
+    T = np.kron(np.array([[0.99, 0.01], [0.3, 0.7]]), np.array([[0.9, 0.1], [0.2, 0.8]]))
+    power = power_of(T)
+    parts = power(np.array([0.25, 0.0, 1.0]))
+    np.testing.assert_allclose(np.linalg.matrix_power(parts[:, :, 0], 4), T, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(parts[:, :, 1], np.eye(4))
+    np.testing.assert_array_equal(parts[:, :, 2], T)
+    np.testing.assert_array_equal(power(1.0)[:, :, 0], T)
+    with pytest.raises(ValueError, match="no powers"):
+        power_of(np.array([[0.0, 1.0], [1.0, 0.0]]))
+
+
+def test_modes_may_differ_in_anything() -> None:
+    """Two motions: the filter finds the one that holds."""
+    world, model = odometry(2, "dry")
+    assert model.modes is not None
+    base = model.modes.modes[0].model
+
+    def fast(x: np.ndarray, u: np.ndarray, interval: Interval) -> np.ndarray:
+        return base.transition(x, u + 0.5 * np.eye(len(u))[:, :1], interval)
+
+    modes = Modes((Mode("as told", base), Mode("pushed", replace(base, transition=fast))), np.array([0.5, 0.5]),
+                  np.array([[0.99, 0.01], [0.01, 0.99]]))
+    estimator = InteractingModels()
+    follow(estimator, replace(model, modes=modes), world, 400)
+    assert (estimator.weight[0] > 0.9).all()
+
+
+def test_relocation_takes_over_what_is_measured() -> None:
+    setting = load("odometry").setting("wet")
+    world = setting.world(Streams(1, "odometry", "wet", range(2)))
+    model = setting.design_model({"motion": "wheel-b"}, world.initial_mean)
+    means, _ = follow(estimator := Relocation(), model, world, 1200)
+    for run in range(2):
+        place, counted, claim = 0.0, 0.0, 0.0
+        for k in range(1200):
+            events = world.readings.get(k, [])
+            increment = world.u[k, 4, run]
+            counted += increment
+            for runs, share, balises in events:
+                if run in runs:
+                    i = list(runs).index(run)
+                    place, counted = world.passages.told[balises[i], run], (1 - share[i]) * increment
+                    claim = world.balise_variance[balises[i]]
+            assert means[k, 0, run] == pytest.approx(place + counted, abs=1e-8)
+        assert estimator.estimate().covariance[0, 0, run] == pytest.approx(claim + (0.00577 * counted) ** 2)
+    with pytest.raises(Unsupported, match="not among"):
+        Relocation({"by": ["beacon"]}).design(model)
