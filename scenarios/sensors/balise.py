@@ -28,9 +28,9 @@ class Passages:
 
 class Balises(Strict):
     """location m: standard deviation of the map and the limit at which its error is cut; platform m: the same of
-    balises at a platform's edge. reader m: a balise is read within +- this of its place, up to 40 km/h and at 500 km/h, in
-    between by the straight line. missed: chance that one is not read; the first always is. detection m: standard
-    deviation told of where it is read."""
+    balises at a platform's edge. reader m: a balise is read within +- this of its place, up to 40 km/h and at 500 km/h,
+    straight on between. missed: chance that one is not read; the first always is. detection m: standard deviation told
+    of where it is read."""
 
     location: Pair
     platform: Pair
