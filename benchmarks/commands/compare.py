@@ -17,8 +17,7 @@ from ...scenarios.errors import InputError, Unsupported
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
 from ..isolation.process import IMPORT
-from ..judging.comparison import FINISHED, Changes, between_estimators, between_folders, speed_ratio
-from ..judging.comparison import Comparison as Contest
+from ..judging.comparison import Changes, Comparison, between_estimators, between_folders, speed_ratio
 from ..planning.catalogue import Catalogue
 from ..planning.naming import find
 from ..planning.plan import make_plan
@@ -26,8 +25,9 @@ from ..running.runner import Machinery
 from ..store.folder import Store
 from ..studies.complete import complete, default_folder
 from ..telling.console import print_table
-from ..telling.sayings import comparison_words as words
-from ..telling.wording import counted, number, percent, rough
+from ..telling.sayings import comparison_words
+from ..telling.tables import value_words
+from ..telling.wording import bracket, change, counted, percent, ratio, rough
 from . import options
 
 
@@ -46,7 +46,7 @@ def compare(
     fail_on: Annotated[Literal["none", "worse", "different"], typer.Option(
         help="Exit code 1 where B is significantly worse anywhere; or, for folders, where any row differs.")] = "none",
 ) -> None:
-    """Compare B with A, paired over the same runs: differences, intervals, Wilcoxon with Holm, runs won, speed."""
+    """Compare B with A, paired over the same runs: ratio of errors with its interval, runs won, runs lost, speed."""
     folders = [Path(name, "manifest.json").is_file() for name in (a, b)]
     if any(folders):
         if not all(folders):
@@ -56,8 +56,8 @@ def compare(
         first, second = Store(a), Store(b)
         changes = between_folders(first, second)
         _print_rows(changes, a, b)
-        contests, speed = changes.contests, speed_ratio(first.timing(), second.timing())
-        _print_contests(contests, a, b, speed)
+        found, speed = changes.found, speed_ratio(first.timing(), second.timing())
+        _print_comparisons(found, a, b, speed)
         different = not changes.identical
     else:
         if a == b:
@@ -66,16 +66,16 @@ def compare(
             raise InputError("--fail-on different: is for two results folders; two estimators always differ")
         different = False
         store = _run(a, b, scenario or [], runs, seed, jobs, set_, plugin, out)
-        contests = between_estimators(store.rows(), store.manifest(), a, b)
+        found = between_estimators(store.rows(), store.manifest(), a, b)
         timing = store.timing()
         speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")
                                                         for name in (a, b)))
-        _print_contests(contests, a, b, speed)
-        if not contests:
+        _print_comparisons(found, a, b, speed)
+        if not found:
             raise InputError(f"{a} and {b} finished no two runs in common: "
                              + (f"`railstate replay` in {store.folder} shows why" if runs > 1 else
                                 "--runs: two at least are needed"))
-    worse = [contest for contest in contests if contest.verdict == "worse"]
+    worse = [each for each in found if each.verdict == "worse"]
     if (fail_on == "worse" and worse) or (fail_on == "different" and different):
         raise typer.Exit(1)
 
@@ -151,32 +151,33 @@ def _print_rows(changes: Changes, a: str, b: str) -> None:
           + (f"; {only[0]} only in {a}, {only[1]} only in {b}" if any(only) else ""))
 
 
-def _print_contests(contests: list[Contest], a: str, b: str, speed: dict[tuple[str, str], float]) -> None:
-    if contests:
-        print_table(f"{b} (B) against {a} (A), paired", pd.DataFrame([_line(contest) for contest in contests]))
-    for contest in contests:
-        print(words(contest, a, b))
-    for (cell, label), ratio in speed.items():
-        if any(contest.cell == cell and contest.label == label for contest in contests):
-            times = f"{rough(max(ratio, 1 / ratio))} times {'slower' if ratio > 1 else 'faster'} than"
-            if 0.95 < ratio < 1.05:
+def _print_comparisons(found: list[Comparison], a: str, b: str, speed: dict[tuple[str, str], float]) -> None:
+    if found:
+        print_table(f"{b} (B) against {a} (A), paired", pd.DataFrame([_line(each) for each in found]),
+                    ["A, B: ± is half of the 95 % interval. B / A: ratio over the same runs, a lost run counted as the "
+                     "largest error of either, with its 95 % interval; the verdict follows it."])
+    for each in found:
+        print(comparison_words(each, a, b))
+    for (cell, label), factor in speed.items():
+        if any(each.cell == cell and each.label == label for each in found):
+            times = f"{rough(max(factor, 1 / factor))} times {'slower' if factor > 1 else 'faster'} than"
+            if 0.95 < factor < 1.05:
                 times = "as fast as"
             print(f"{cell}{'/' + label if label else ''}: {b} is {times} {a} (time per run and step)")
-    if contests:
-        found = Counter(contest.verdict for contest in contests)
-        counts = [f"{word} in {found[word]}" for word in ("better", "worse", "tie", "too few runs")
-                  if found[word] or word != "too few runs"]
-        print(f"{b} against {a}: {', '.join(counts)} of {counted(len(contests), 'comparison')} (Holm-corrected)")
+    if found:
+        number_of = Counter(each.verdict for each in found)
+        counts = [f"{word} in {number_of[word]}" for word in ("better", "worse", "tie", "undecided")]
+        print(f"{b} against {a}: {', '.join(counts)} of {counted(len(found), 'comparison')}")
 
 
-def _line(contest: Contest) -> dict[str, str]:
-    found, factor = contest.found, contest.factor
-    unit = f" [{contest.unit}]" if contest.unit else ""
-    lost = contest.metric == FINISHED
-    return {
-        "cell": contest.cell, **({"estimator": contest.label} if contest.label else {}),
-        "what": "runs lost" if lost else f"{contest.metric} {contest.quantity}{unit}",
-        "A": number(contest.a * factor), "B": number(contest.b * factor), "B - A": number(found.difference * factor),
-        "95 % interval": f"{number(found.low * factor)} .. {number(found.high * factor)}",
-        "p (Holm)": number(contest.p, 2), "B lower in": percent(found.won), "runs": str(found.n),
-        "B is": contest.verdict}
+def _line(each: Comparison) -> dict[str, str]:
+    line = each.b
+    out = {"cell": each.cell, **({"estimator": each.label} if each.label else {})}
+    if each.lost:
+        shares = [percent(side["value"]) for side in (each.a, line)]
+        return {**out, "what": "runs lost", "A": shares[0], "B": shares[1], "B / A": "", "95 % interval": "",
+                "change": "", "B lower in": "", "runs": str(line["runs"]), "B is": each.verdict}
+    return {**out, "what": bracket(f"{line['metric']} {line['quantity']}", line["shown_unit"]),
+            "A": value_words(each.a), "B": value_words(line), "B / A": ratio(line["ratio"]),
+            "95 % interval": f"{ratio(line['ratio_low'])} .. {ratio(line['ratio_high'])}", "change": change(line),
+            "B lower in": percent(line["won"]), "runs": str(line["runs"]), "B is": each.verdict}

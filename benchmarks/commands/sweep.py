@@ -14,7 +14,7 @@ import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
-from ..judging.summary import summarise
+from ..judging.table import verdicts_of
 from ..planning.naming import find_one
 from ..planning.plan import make_plan
 from ..running.runner import Machinery
@@ -24,7 +24,8 @@ from ..telling.console import print_table
 from ..telling.figures.axes import Style
 from ..telling.figures.canvas import LIGHT
 from ..telling.figures.data import assign_styles
-from ..telling.wording import with_error
+from ..telling.sayings import records
+from ..telling.wording import bracket, plus_minus
 from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
 
 _MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "down": "v"}
@@ -63,7 +64,7 @@ def sweep(
         label = ",".join(f"{key}={_plain(item)}" for key, item in point.items())
         store = complete(plan, folder / label.replace("/", "_"), machinery, command, timing=False)
         rows = store.rows()
-        summary = summarise(rows)
+        summary = verdicts_of(store)
         for key, item in reversed(point.items()):
             summary.insert(0, key, _plain(item))
         summaries.append(summary)
@@ -75,11 +76,12 @@ def sweep(
     Store(folder).write_text("sweep.csv", table.to_csv(index=False))
     plots = 0
     for pair in _wanted(metric, table) or shown:
-        part = table[(table["metric"] == pair[0]) & (table["quantity"] == pair[1])]
+        part = table[(table["metric"] == pair[0]) & (table["quantity"] == pair[1]) & (table["runs"] > 0)
+                     & table["kind"].isin(["error", "value", "share"])]
         if not part.empty:
-            unit = part["unit"].iloc[0]
-            print_table(f"{name}: {' '.join(pair)}" + ("" if unit == "1" else f" [{unit}]"),
-                        _grid(part, list(axes), names, reasons))
+            unit = part["shown_unit"].iloc[0]
+            print_table(bracket(f"{name}: {' '.join(pair)}", unit), _grid(part, list(axes), names, reasons),
+                        ["± is half of the 95 % interval."])
             plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit, styles) if len(axes) == 1 else 0
     print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
 
@@ -95,9 +97,9 @@ def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:
 
 def _grid(part: pd.DataFrame, keys: list[str], names: list[str],
           reasons: dict[tuple[str, ...], dict[str, str]]) -> pd.DataFrame:
-    """A line per swept point, a column per estimator: mean and standard error, or why there is no number."""
+    """A line per swept point, a column per estimator: value and half of its 95 % interval, or why there is none."""
     found = {(tuple(line[key] for key in keys), line["estimator"]):
-             with_error(line["mean"], line["standard_error"]) for line in part.to_dict("records")}
+             plus_minus(line) for line in records(part)}
     return pd.DataFrame([
         {**dict(zip(keys, point, strict=True)),
          **{name: found.get((point, name), reasons[point].get(name, "")) for name in names}} for point in reasons])
@@ -137,14 +139,14 @@ def _plot(folder: Path, part: pd.DataFrame, key: str, label: str, unit: str, sty
     for estimator, mine in part.groupby("estimator", sort=False):
         x = pd.to_numeric(mine[key]) if numeric else mine[key].astype(str)
         style = styles[str(estimator)]
-        axes.plot(x, mine["mean"], color=LIGHT[style.colour], linestyle=(0, style.dash) if style.dash else "solid",
+        value, low, high = (mine[name] * mine["factor"] for name in ("value", "low", "high"))
+        axes.plot(x, value, color=LIGHT[style.colour], linestyle=(0, style.dash) if style.dash else "solid",
                   marker=_MARKERS[style.marker], markersize=3.5, linewidth=1.2, label=estimator)
-        low, high = (mine["mean"] + sign * 1.96 * mine["standard_error"] for sign in (-1, 1))
         axes.fill_between(x, low, high, color=LIGHT[style.colour], alpha=0.2, linewidth=0)
-    if part["mean"].min() > 0 and part["mean"].max() / part["mean"].min() > 30:
+    if part["value"].min() > 0 and part["value"].max() / part["value"].min() > 30:
         axes.set_yscale("log")
     axes.set_xlabel(key)
-    axes.set_ylabel(label + ("" if unit == "1" else f" [{unit}]"))
+    axes.set_ylabel(bracket(label, unit))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right upper", fontsize=7, frameon=False, handlelength=3)
     for suffix in ("svg", "png"):

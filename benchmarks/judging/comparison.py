@@ -1,6 +1,6 @@
 """B against A over the same runs: two estimators of one results folder, or all estimators of two folders.
 
-Everything is made from rows alone; `commands/compare.py` prints it. Differences are B - A, and `better` means B is."""
+Made from rows alone, by the rules of the verdict table with each pair a family of its own; `better` means B is."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from ...scenarios.arrays import Array
-from ..scoring.columns import IDENTITY, shown_unit
+from ..scoring.columns import IDENTITY
 from ..store.folder import Store
-from . import statistics as st
-from .verdicts import by_run, cells, judged_columns
+from .selection import Aligned, cells, judged_columns
+from .table import Cell, Line
 
-FINISHED = "finished"
-"""Name of the contest over how many runs end well, where the two differ in that."""
 UNREPEATABLE = ("seconds", "exception")
 """Columns that may differ between two runs of the same thing: measured time, and tracebacks with their line numbers."""
 TRUTH = ("time", "plant", "disturbance", "sensors", "channel", "score")
@@ -26,43 +23,32 @@ TRUTH = ("time", "plant", "disturbance", "sensors", "channel", "score")
 
 
 class Comparison(NamedTuple):
-    """B against A in one quantity of one cell. a, b: their shown values over the paired runs."""
+    """B against A in one quantity of one cell: two lines of the verdict table, b's with the ratio and the verdict.
+    label: the estimator, where two folders are compared."""
 
     cell: str
     label: str
-    metric: str
-    quantity: str
-    unit: str
-    factor: float
-    a: float
-    b: float
-    found: st.Paired
-    p: float
-    verdict: st.Difference
+    a: Line
+    b: Line
 
+    @property
+    def verdict(self) -> str:
+        return str(self.b["verdict"])
 
-@dataclass(frozen=True)
-class _Pair:
-    """Values of A and B per run (NaN where there is none), before the correction over all pairs."""
-
-    cell: str
-    label: str
-    metric: str
-    quantity: str
-    unit: str
-    factor: float
-    a: Array
-    b: Array
+    @property
+    def lost(self) -> bool:
+        """Whether it is about runs that did not end well, not about an error."""
+        return self.b["kind"] == "reliability"
 
 
 def between_estimators(rows: pd.DataFrame, manifest: Mapping[str, Any], a: str, b: str) -> list[Comparison]:
-    """Contests of two labels in every cell of a folder's rows."""
-    pairs: list[_Pair] = []
+    """Comparisons of two labels in every cell of a folder's rows."""
+    found: list[Comparison] = []
     for scenario, variant, part in cells(rows):
         both = part[part["estimator"].isin([a, b])]
         if both["estimator"].nunique() == 2:
-            pairs += _pairs(f"{scenario}/{variant}", "", both, manifest["scenarios"][scenario], a, b)
-    return _decided(pairs)
+            found += _compared(f"{scenario}/{variant}", "", both, manifest["scenarios"][scenario], a, b)
+    return found
 
 
 def between_folders(a: Store, b: Store) -> Changes:
@@ -71,7 +57,7 @@ def between_folders(a: Store, b: Store) -> Changes:
     manifests = {"a": a.manifest(), "b": b.manifest()}
     merged = pd.concat([frame.assign(side=side) for side, frame in rows.items()], ignore_index=True)
     alike: list[Alike] = []
-    pairs: list[_Pair] = []
+    found: list[Comparison] = []
     notes = list(_settings(manifests["a"], manifests["b"]))
     for (scenario, variant, label), part in merged.groupby(list(IDENTITY[:3]), sort=False):
         cell = f"{scenario}/{variant}"
@@ -85,9 +71,9 @@ def between_folders(a: Store, b: Store) -> Changes:
             if reason:
                 notes.append(f"{cell}: {reason}: these are not the same runs, nothing is compared")
                 continue
-            both = part[part["run"].isin(common)].assign(estimator=lambda frame: frame["side"])
-            pairs += _pairs(cell, str(label), both, manifests["b"]["scenarios"][scenario], "a", "b")
-    return Changes(alike, _decided(pairs), list(dict.fromkeys(notes)))
+            both = part.assign(estimator=lambda frame: frame["side"])
+            found += _compared(cell, str(label), both, manifests["b"]["scenarios"][scenario], "a", "b")
+    return Changes(alike, found, list(dict.fromkeys(notes)))
 
 
 class Alike(NamedTuple):
@@ -103,10 +89,10 @@ class Alike(NamedTuple):
 
 @dataclass(frozen=True)
 class Changes:
-    """Rows compared, contests of those that differ, and what else is to be said."""
+    """Rows compared, comparisons of those that differ, and what else is to be said."""
 
     alike: list[Alike]
-    contests: list[Comparison]
+    found: list[Comparison]
     notes: list[str]
 
     @property
@@ -114,42 +100,13 @@ class Changes:
         return all(item.common == item.identical and not item.only_a and not item.only_b for item in self.alike)
 
 
-def _pairs(cell: str, label: str, part: pd.DataFrame, about: Mapping[str, Any], a: str, b: str) -> Iterator[_Pair]:
-    """The pairs of one cell: an error for each quantity, and the share of runs that end well where they differ."""
-    for column, metric, quantity, unit in judged_columns(part, about):
-        values = by_run(part, column)
-        name, factor = shown_unit(about, metric, quantity, unit)
-        yield _Pair(cell, label, metric, quantity, name, factor, values[a], values[b])
-    lost = by_run(part.assign(lost=(part["status"] != "ok").astype(float)), "lost")
-    if (lost[a] != lost[b]).any():
-        yield _Pair(cell, label, FINISHED, "runs", "", 1.0, lost[a], lost[b])
-
-
-def _decided(pairs: list[_Pair]) -> list[Comparison]:
-    """Tests with Holm's correction over all of them, and verdicts. Pairs without two common runs have none."""
-    found = [(pair, st.paired(pair.b, pair.a)) for pair in pairs]
-    found = [(pair, each) for pair, each in found if each.n > 1]
-    values = [_sign_test(pair) if pair.metric == FINISHED else each.p for pair, each in found]
-    out: list[Comparison] = []
-    for (pair, each), p in zip(found, st.holm(values), strict=True):
-        if pair.metric == FINISHED:
-            verdict: st.Difference = "tie" if p >= st.ALPHA else "better" if each.difference < 0 else "worse"
-        else:
-            verdict = st.verdict(each, p, len(found))
-        both = np.isfinite(pair.a) & np.isfinite(pair.b)
-        a, b = (st.pooled_rmse(side[both])[0] if pair.metric == "rmse" else float(side[both].mean())
-                for side in (pair.a, pair.b))
-        out.append(Comparison(pair.cell, pair.label, pair.metric, pair.quantity, pair.unit, pair.factor, a, b, each, p,
-                           verdict))
-    return out
-
-
-def _sign_test(pair: _Pair) -> float:
-    """Two-sided exact p that runs only B lost and runs only A lost are equally likely."""
-    from scipy.stats import binomtest
-
-    worse, better = int((pair.b > pair.a).sum()), int((pair.b < pair.a).sum())
-    return float(binomtest(worse, worse + better).pvalue) if worse + better else 1.0
+def _compared(key: str, label: str, part: pd.DataFrame, about: Mapping[str, Any], a: str, b: str) -> list[Comparison]:
+    """The comparisons of one cell: an error for each quantity, and the runs lost where they differ. None without two
+    common runs."""
+    cell = Cell(f"{key}/{label}" if label else key, Aligned(part), about, {})
+    if cell.n < 2:
+        return []
+    return [Comparison(key, label, *pair) for pair in cell.duels(judged_columns(part, about), a, b)]
 
 
 def speed_ratio(a: pd.DataFrame | None, b: pd.DataFrame | None) -> dict[tuple[str, str], float]:

@@ -1,53 +1,71 @@
-"""Ranks over blocks: Friedman's test and the cliques of a critical-difference diagram."""
+"""Ranks over settings: Friedman's test and the cliques of a critical-difference diagram (Demsar 2006).
+
+A block is a setting, never a run: runs of one setting repeat each other and say nothing of other settings."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from ...scenarios.arrays import Array
-from .statistics import ALPHA, RESOLUTION, holm, wilcoxon
+from .statistics import ALPHA
 
 
 class Ranks(NamedTuple):
-    """Mean Friedman ranks (1 = least error), Friedman's p, and the cliques: index groups that are not told apart."""
+    """Mean ranks over n settings (1 = least error), Friedman's p, the cliques (index groups, in order of rank, whose
+    ranks differ by less than the critical difference), n, and that difference."""
 
     mean: Array
     p: float
     cliques: list[tuple[int, ...]]
     n: int
+    difference: float
+
+
+def over_settings(table: pd.DataFrame, quantity: str) -> tuple[list[str], Ranks] | None:
+    """Ranks of the estimators that all settings of a verdict table share, by their errors in one quantity; who is not
+    eligible in a setting comes last there. None with fewer than two estimators or settings."""
+    errors = table[(table["kind"] == "error") & (table["quantity"] == quantity)
+                   & ~table["verdict"].isin(["oracle", "none"])]
+    shown = errors["value"].where(errors["eligible"], np.inf).fillna(np.inf)
+    grid = errors.assign(shown=shown).pivot_table("shown", ["scenario", "variant"], "estimator", sort=False,
+                                                  aggfunc="first").dropna(axis=1)
+    if min(grid.shape) < 2:
+        return None
+    return [str(label) for label in grid.columns], friedman(grid.to_numpy())
 
 
 def friedman(errors: Array) -> Ranks:
-    """Ranks of estimators over blocks, for a critical-difference diagram. errors (blocks, estimators), positive.
+    """Ranks over blocks. errors (blocks, estimators), infinite: last.
 
-    Blocks are what is independent and shared by all (one run of one variant); blocks with a NaN are left out. Two
-    estimators are told apart where Wilcoxon's test of log(error ratio), Holm-corrected over all pairs, says so and the
-    median ratio differs from 1 by RESOLUTION or more. Cliques are the maximal stretches of neighbouring ranks without
-    a pair told apart, members in order of rank."""
+    Two estimators are told apart where their mean ranks differ by the critical difference of Nemenyi's test,
+    q sqrt(k (k + 1) / (6 n)), q the Studentised range's quantile over sqrt 2. Cliques are the maximal stretches of
+    neighbouring ranks within it."""
     from scipy.stats import friedmanchisquare, rankdata
 
-    use = errors[np.isfinite(errors).all(axis=1)]
-    count = errors.shape[1]
-    if use.shape[0] < 2 or count < 2:
-        return Ranks(np.full(count, np.nan), float("nan"), [], use.shape[0])
-    mean = rankdata(use, axis=1).mean(axis=0)
-    p = float(friedmanchisquare(*use.T).pvalue) if count > 2 else float("nan")
-    logs = np.log(np.maximum(use, np.finfo(float).tiny))
-    pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
-    gaps = [logs[:, i] - logs[:, j] for i, j in pairs]
-    adjusted = holm([wilcoxon(gap) for gap in gaps])
-    apart = {pair for pair, gap, value in zip(pairs, gaps, adjusted, strict=True)
-             if value < ALPHA and abs(float(np.median(gap))) >= np.log1p(RESOLUTION)}
+    n, k = errors.shape
+    mean = rankdata(errors, axis=1).mean(axis=0)
+    alike = bool((errors == errors[:, :1]).all())
+    p = 1.0 if alike else float(friedmanchisquare(*errors.T).pvalue) if k > 2 else float("nan")
+    difference = _range_quantile(k) * float(np.sqrt(k * (k + 1) / (12 * n)))
     order = [int(i) for i in np.argsort(mean, kind="stable")]
     cliques: list[tuple[int, ...]] = []
     reached = 0
-    for begin in range(count):
+    for begin in range(k):
         end = begin + 1
-        while end < count and all((min(m, order[end]), max(m, order[end])) not in apart for m in order[begin:end]):
+        while end < k and mean[order[end]] - mean[order[begin]] < difference:
             end += 1
         if end > reached and end - begin > 1:
             cliques.append(tuple(order[begin:end]))
         reached = max(reached, end)
-    return Ranks(mean, p, cliques, use.shape[0])
+    return Ranks(mean, p, cliques, n, difference)
+
+
+@cache
+def _range_quantile(k: int) -> float:
+    from scipy.stats import studentized_range
+
+    return float(studentized_range.ppf(1 - ALPHA, k, np.inf))

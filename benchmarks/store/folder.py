@@ -148,6 +148,14 @@ class Store:
             stay = [gone.get((f"{scenario}/{variant}", label), ()) is not None for scenario, variant, label in lines]
             self.write_text("timing.csv", timing[stay].to_csv(index=False))
 
+    def write_verdicts(self, table: pd.DataFrame) -> None:
+        """Write verdicts.parquet and verdicts.csv."""
+        self.write_text("verdicts.csv", table.to_csv(index=False))
+        path = self.folder / "verdicts.parquet"
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        pq.write_table(pa.Table.from_pandas(table, preserve_index=False), temporary)
+        os.replace(temporary, path)
+
     # -- reading ---------------------------------------------------------------------------------------------------
     def manifest(self) -> dict[str, Any]:
         """manifest.json, read once. Raises InputError where there is none, it is damaged or of another version."""
@@ -195,6 +203,18 @@ class Store:
         place = np.array([places["/".join(name)] for name in names], dtype=int)[code]
         table = table.take(pa.array(np.lexsort((table["run"].to_numpy(), place))))
         return table.to_pandas(split_blocks=True, self_destruct=True)
+
+    def verdicts(self) -> pd.DataFrame | None:
+        """verdicts.parquet, or None where there is none that is newer than all rows and readable."""
+        path = self.folder / "verdicts.parquet"
+        try:
+            written = path.stat().st_mtime_ns
+            parts = [*(self.folder / "rows").glob("*.parquet")]
+            if not parts or max(part.stat().st_mtime_ns for part in parts) > written:
+                return None
+            return pq.ParquetFile(path).read().to_pandas()
+        except (OSError, pa.ArrowInvalid):
+            return None
 
     def curves(self) -> pd.DataFrame:
         """Sums over all runs per scenario, variant, estimator, quantity and step (empty if there are none)."""

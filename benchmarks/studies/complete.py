@@ -14,7 +14,7 @@ import pandas as pd
 
 from ...scenarios.errors import InputError
 from ...scenarios.source import source_hash
-from ..judging.summary import summarise
+from ..judging.table import summary, verdicts
 from ..planning.plan import Plan, own
 from ..planning.tasks import task_name
 from ..running.latency import timing_table
@@ -25,7 +25,6 @@ from ..store.growth import OVERWRITTEN, Growth, grown
 from ..store.provenance import other_versions
 from ..telling.console import progress
 from ..telling.markup import to_latex, to_markdown
-from ..telling.sayings import short_verdicts
 from ..telling.tables import cell_tables, outage_tables, window_tables
 from ..telling.wording import notes_of
 
@@ -132,19 +131,20 @@ def _as_it_is(store: Store, plan: Plan) -> Store:
 
 
 def write_tables(store: Store, rows: pd.DataFrame) -> None:
-    """summary.csv, tables/*.md and tables/*.tex, from the store's rows and timing alone."""
+    """verdicts.parquet and .csv, summary.csv, tables/*.md and tables/*.tex, from the store's rows and timing alone."""
     manifest = store.manifest()
-    summary = summarise(rows)
-    store.write_text("summary.csv", summary.to_csv(index=False))
-    for key, frame in cell_tables(summary, manifest, store.timing(), short_verdicts(rows, manifest)):
+    table = verdicts(rows, manifest)
+    store.write_verdicts(table)
+    store.write_text("summary.csv", summary(table).to_csv(index=False))
+    for key, frame, caption in cell_tables(table, manifest, store.timing()):
         scenario, variant = key.split("/")
-        notes = notes_of(manifest["scenarios"][scenario]["variants"][variant])
+        notes = [caption, *notes_of(manifest["scenarios"][scenario]["variants"][variant])]
         stem = f"tables/{scenario}~{variant}"
         store.write_text(f"{stem}.md", to_markdown(key, frame, notes))
         store.write_text(f"{stem}.tex", to_latex(key, frame, notes))
     for key, frame in outage_tables(rows):
         store.write_text(f"tables/{key.replace('/', '~')}~outages.csv", frame.to_csv(index=False))
-    for title, frame in window_tables(rows, manifest):
+    for title, frame in window_tables(table, manifest):
         cell, _, what = title.partition(": ")
         stem = f"tables/{cell.replace('/', '~')}~{what.split()[2]}"
         store.write_text(f"{stem}.md", to_markdown(title, frame, []))

@@ -1,43 +1,40 @@
-"""A scenario in plain sentences, from rows alone: the report's first paragraph of each setting.
+"""A scenario in plain sentences, from its verdicts alone: the report's first paragraph of each setting.
 
 Who wins, by how much, where it is a tie, who is an oracle, who breaks a promise, which runs failed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pandas as pd
 
-from ..judging.verdicts import Breach, Judged, broken_promises, by_run, cells, judge, judged_columns, oracle_labels
-from ..scoring.columns import shown_unit
+from .sayings import Line, drawn, records
 from .wording import change_range, listing, number, percent, plus_minus, some
 
 
-def paragraph(rows: pd.DataFrame, manifest: Mapping[str, Any], scenario: str) -> list[str]:
+def paragraph(table: pd.DataFrame, scenario: str) -> list[str]:
     """A scenario in plain sentences: who is best in the default variant and by how much, in how many of the others,
-    who is an oracle, who broke a promise, which runs failed."""
-    mine = rows[rows["scenario"] == scenario]
-    about = manifest["scenarios"][scenario]
+    who is an oracle, who broke a promise, which runs failed. table: the verdict table."""
     sentences: list[str] = []
     tops: dict[str, list[set[str]]] = {}
-    breaches: dict[str, dict[str, list[Breach]]] = {}
+    breaches: dict[str, dict[str, list[float]]] = {}
     oracles: set[str] = set()
     total = 0
-    for _, variant, part in cells(mine):
-        known = oracle_labels(manifest, scenario, variant)
-        judged = {quantity: (unit, metric, judge(by_run(part, column), metric, known))
-                  for column, metric, quantity, unit in judged_columns(part, about)}
-        for quantity, (_, _, found) in judged.items():
-            if any(j.verdict == "best" and j.value.value == 0 for j in found.values()):
-                continue
-            tops.setdefault(quantity, []).append({j.estimator for j in found.values() if j.verdict in ("best", "tie")})
+    for variant, part in table[table["scenario"] == scenario].groupby("variant", sort=False):
+        judged: dict[str, list[dict[str, Any]]] = {}
+        for line in records(part, "error"):
+            judged.setdefault(line["quantity"], []).append(line)
+        for quantity, lines in judged.items():
+            if not any(line["verdict"] == "best" and line["value"] == 0 for line in lines):
+                tops.setdefault(quantity, []).append({line["estimator"] for line in lines
+                                                      if drawn(line) in ("best", "tie")})
+            oracles |= {line["estimator"] for line in lines if line["verdict"] == "oracle"}
         if not total:
-            sentences += _default_variant(variant, judged, about)
-        for label, estimator_rows in part.groupby("estimator", sort=False):
-            for breach in broken_promises(estimator_rows):
-                breaches.setdefault(breach.kind, {}).setdefault(str(label), []).append(breach)
-        oracles |= known
+            sentences += _default_variant(str(variant), judged)
+        for line in records(part, "consistency", "claim", "reliability"):
+            for kind, size in _breaches(line):
+                breaches.setdefault(kind, {}).setdefault(line["estimator"], []).append(size)
         total += 1
     if total > 1:
         sentences += _over_variants(tops)
@@ -57,7 +54,21 @@ _BREACHES = {
 }
 
 
-def _breach_words(kind: str, found: Mapping[str, list[Breach]], total: int) -> str:
+def _breaches(line: Line) -> Iterator[tuple[str, float]]:
+    """(kind, how bad it is) of a line that says that something was not kept."""
+    if line["kind"] == "reliability":
+        if line["metric"] == "lost" and line["lost"]:
+            yield "status", line["value"]
+    elif line["verdict"] == "too sure" and line["metric"] == "nees":
+        yield "nees", line["value"]
+    elif line["verdict"] == "broken":
+        if line["metric"] == "bound":
+            yield "bound", line["ratio"]
+        else:
+            yield "set", int(line["note"].split()[2]) / line["runs"]
+
+
+def _breach_words(kind: str, found: Mapping[str, list[float]], total: int) -> str:
     """`Too sure of its own errors: a and b in 5 of 8 variants (ANEES up to 10, 1 is right); c in ..`"""
     title, template = _BREACHES[kind]
     alike: dict[int, list[str]] = {}
@@ -65,53 +76,50 @@ def _breach_words(kind: str, found: Mapping[str, list[Breach]], total: int) -> s
         alike.setdefault(len(items), []).append(label)
     parts = []
     for place, (times, labels) in enumerate(alike.items()):
-        worst = max(breach.size for label in labels for breach in found[label])
+        worst = max(size for label in labels for size in found[label])
         size = number(worst, 2) if kind in ("nees", "bound") else percent(worst)
         where = f" in {_share(times, total)}" if total > 1 else ""
         parts.append(f"{some(labels)}{where} ({template.format(size=size) if place == 0 else f'up to {size}'})")
     return f"{title}: {'; '.join(parts)}."
 
 
-def _default_variant(variant: str, judged: Mapping[str, tuple[str, str, dict[str, Judged]]],
-                     about: Mapping[str, Any]) -> list[str]:
-    """`Variant white: a is best (position 0.11 m); the next, b, has 5 to 6 % more error, ..`, `a and b tie as best ..`;
-    quantities with the same winners together."""
-    groups: dict[tuple[str, ...], list[tuple[str, str, list[Judged]]]] = {}
-    for quantity, (unit, metric, found) in judged.items():
-        best = next((j for j in found.values() if j.verdict == "best"), None)
-        if best is None or best.value.value == 0:
+def _default_variant(variant: str, judged: Mapping[str, list[dict[str, Any]]]) -> list[str]:
+    """`Variant white: a is best (position 0.11 m); undecided: c; the least worse, b, has 5 to 6 % more error, ..`,
+    `a and b tie as best ..`; quantities with the same winners together."""
+    groups: dict[tuple[str, ...], list[tuple[str, Line, list[Line]]]] = {}
+    for quantity, lines in judged.items():
+        best = next((line for line in lines if line["verdict"] == "best"), None)
+        if best is None or best["value"] == 0:
             continue
-        winners = tuple(j.estimator for j in found.values() if j.verdict in ("best", "tie"))
-        worse = sorted((j for j in found.values() if j.verdict == "worse" and j.against),
-                       key=lambda j: j.against.relative if j.against else 0.0)
-        shown, factor = shown_unit(about, metric, quantity, unit)
-        value = f"{quantity} {plus_minus(best.value, factor)} {shown}".rstrip()
-        groups.setdefault(winners, []).append((quantity, value, worse))
+        winners = tuple(line["estimator"] for line in lines if drawn(line) in ("best", "tie"))
+        worse = sorted((line for line in lines if drawn(line) == "worse"), key=lambda line: line["ratio"])
+        groups.setdefault(winners, []).append((quantity, best, list(worse)))
     out: list[str] = []
     for winners, members in groups.items():
-        text = (f"{some(winners)} {'tie as' if len(winners) > 1 else 'is'} best "
-                f"({', '.join(value for _, value, _ in members)})")
-        unsure = {j.estimator for quantity, _, _ in members for j in judged[quantity][2].values()
-                  if j.verdict == "incomplete"}
-        text += f"; {some(sorted(unsure))}: too few runs to tell" if unsure else ""
-        text += _follower("; the next", [(quantity, worse[0]) for quantity, _, worse in members if worse])
+        values = [f"{quantity} {plus_minus(line)} {line['shown_unit']}".rstrip() for quantity, line, _ in members]
+        text = f"{some(winners)} {'tie as' if len(winners) > 1 else 'is'} best ({', '.join(values)})"
+        for word, said in (("undecided", "undecided"), ("lost", "lost more runs than equals would")):
+            names = {line["estimator"] for quantity, _, _ in members for line in judged[quantity]
+                     if drawn(line) == word}
+            text += f"; {said}: {some(sorted(names))}" if names else ""
+        text += _follower("; the least worse", [(quantity, worse[0]) for quantity, _, worse in members if worse])
         text += _follower(", the last", [(quantity, worse[-1]) for quantity, _, worse in members if len(worse) > 1])
         out.append(text)
     return [f"Variant {variant}: {'. '.join(out)}." if out else f"Variant {variant}: no estimator gave a value."]
 
 
-def _follower(opening: str, found: list[tuple[str, Judged]]) -> str:
-    """`; the next, c (d for speed), has 5 to 6 % more error`, nothing where there is none."""
-    pairs = [judged.against for _, judged in found if judged.against]
-    if not pairs:
+def _follower(opening: str, found: list[tuple[str, Line]]) -> str:
+    """`; the least worse, c (d for speed), has 5 to 6 % more error`, nothing where there is none."""
+    if not found:
         return ""
-    first = found[0][1].estimator
+    first = found[0][1]["estimator"]
     others: dict[str, list[str]] = {}
-    for quantity, judged in found:
-        if judged.estimator != first:
-            others.setdefault(judged.estimator, []).append(quantity)
+    for quantity, line in found:
+        if line["estimator"] != first:
+            others.setdefault(line["estimator"], []).append(quantity)
     aside = "; ".join(f"{label} for {listing(quantities)}" for label, quantities in others.items())
-    return f"{opening}, {first}{f' ({aside})' if aside else ''}, has {_times(change_range(pairs))} error"
+    size = _times(change_range([line["ratio"] for _, line in found]))
+    return f"{opening}, {first}{f' ({aside})' if aside else ''}, has {size} error"
 
 
 def _share(times: int, total: int) -> str:

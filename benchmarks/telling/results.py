@@ -6,31 +6,30 @@ from itertools import groupby
 
 import pandas as pd
 
-from ..judging.summary import summarise
+from ..judging.table import verdicts_of
 from ..store.folder import Store
 from .console import print_table
-from .sayings import headlines, short_verdicts
+from .sayings import headlines
 from .tables import cell_tables, window_tables
 from .wording import notes_of
 
 
 def print_results(store: Store) -> None:
     """The tables on standard output, failures with their replay lines, and the closing count."""
-    rows, manifest = store.rows(), store.manifest()
-    summary = summarise(rows)
-    tables = cell_tables(summary, manifest, store.timing(), short_verdicts(rows, manifest))
+    rows, manifest, table = store.rows(), store.manifest(), verdicts_of(store)
     windows: dict[str, list[tuple[str, pd.DataFrame]]] = {}
-    for title, parts in window_tables(rows, manifest):
+    for title, parts in window_tables(table, manifest):
         windows.setdefault(title.partition(": ")[0], []).append((title, parts))
+    tables = cell_tables(table, manifest, store.timing())
     for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
         told: set[str] = set()
-        for key, frame in variants:
-            notes = notes_of(manifest["scenarios"][scenario]["variants"][key.split("/")[1]])
+        for place, (key, frame, caption) in enumerate(variants):
+            notes = [caption, *notes_of(manifest["scenarios"][scenario]["variants"][key.split("/")[1]])]
             print_table(key, frame, [note for note in notes if note not in told])
             told.update(notes)
-            for title, parts in windows.pop(key, []) if len(told) == len(notes) else []:
+            for title, parts in windows.pop(key, []) if place == 0 else []:
                 print_table(title, parts)
-        for line in headlines(rows, manifest, scenario):
+        for line in headlines(table, scenario):
             print(f"{scenario}: {line}")
         print()
     bad = rows[rows["status"] != "ok"]

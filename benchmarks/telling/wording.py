@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ..judging.statistics import Interval, Paired
-
 
 def number(value: float, digits: int = 3) -> str:
     """A number with `digits` significant digits; powers of ten outside 0.001 .. 99999."""
@@ -45,9 +43,22 @@ def with_error(value: float, error: float) -> str:
     return (f"({text})·10{_raised(scale)}" if scale else text).replace("-", "−")
 
 
-def plus_minus(found: Interval, factor: float = 1.0) -> str:
-    """`with_error` of half the interval's width."""
-    return with_error(found.value * factor, (found.high - found.low) / 2 * factor)
+def plus_minus(line: Mapping[str, Any]) -> str:
+    """A line of the verdict table as `with_error` of its value and half of its 95 % interval, in its shown unit."""
+    factor = line["factor"]
+    return with_error(line["value"] * factor, (line["high"] - line["low"]) / 2 * factor)
+
+
+def bracket(name: str, unit: str) -> str:
+    """`name [unit]`, or the name alone where there is no unit."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def ratio(value: float) -> str:
+    """A ratio of errors: three decimals within 1 % of 1 (so that 1.002 is not 1), two under 10, one under 100."""
+    if not np.isfinite(value):
+        return number(value)
+    return f"{value:.{3 if 0 < abs(value - 1) < 0.01 else 2 if value < 10 else 1 if value < 100 else 0}f}"
 
 
 def percent(share: float, digits: int = 2) -> str:
@@ -65,14 +76,14 @@ def percent(share: float, digits: int = 2) -> str:
     return f"{text} %"
 
 
-def change(found: Paired) -> str:
-    """A paired mean difference relative to the other's mean: `+12 %`, or as a factor where it is large."""
-    return _change(found.relative)
+def change(line: Mapping[str, Any]) -> str:
+    """A ratio of errors as a change: `+12 %`, or as a factor where it is large."""
+    return _change(line["ratio"] - 1)
 
 
-def change_range(found: Sequence[Paired]) -> str:
-    """`change` of several comparisons: once where they look the same, else `+39 to +41 %` or `2.8 to 75 times`."""
-    least, most = min(f.relative for f in found), max(f.relative for f in found)
+def change_range(ratios: Sequence[float]) -> str:
+    """`change` of several: once where they look the same, else `+39 to +41 %` or `2.8 to 75 times`."""
+    least, most = min(ratios) - 1, max(ratios) - 1
     if most >= 2 > least:
         return f"{number(least + 1, 2)} to {_change(most)}"
     ends = [_change(least), _change(most)]
@@ -82,20 +93,19 @@ def change_range(found: Sequence[Paired]) -> str:
     return f"{ends[0].removesuffix(common)} to {ends[1]}"
 
 
-def change_interval(found: Paired) -> str:
-    """`+12 % [10, 14]`, the interval of `paired` relative to the other's mean."""
-    if not found.difference or not np.isfinite(found.relative):
-        return change(found)
-    scale = found.relative / found.difference
-    low, high = found.low * scale, found.high * scale
-    if found.relative >= 2:
-        return f"{change(found)} [{number(low + 1, 2)}, {number(high + 1, 2)}]"
-    return f"{change(found)} [{_bare(low)}, {_bare(high)}]"
+def change_interval(line: Mapping[str, Any]) -> str:
+    """`+12 % [10, 14]`: the change with its interval."""
+    value, low, high = (line[name] for name in ("ratio", "ratio_low", "ratio_high"))
+    if not np.isfinite(value) or low == high == 1:
+        return change(line)
+    if value >= 3:
+        return f"{change(line)} [{number(low, 2)}, {number(high, 2)}]"
+    return f"{change(line)} [{_bare(low - 1)}, {_bare(high - 1)}]"
 
 
 def _change(relative: float) -> str:
     if not np.isfinite(relative):
-        return "–"
+        return "–" if np.isnan(relative) else "∞"
     if relative >= 2:
         return f"{number(relative + 1, 2)} times"
     sign = "+" if relative > 0 else "−" if relative < 0 else "±"
@@ -103,9 +113,15 @@ def _change(relative: float) -> str:
 
 
 def _bare(relative: float) -> str:
+    """A share in per cent; never rounded to 0 where it is not."""
     value = 100 * relative
-    text = f"{value:.{0 if abs(value) >= 9.95 else 1}f}"
-    return "0.0" if text == "-0.0" else text.replace("-", "−")
+    if not np.isfinite(value):
+        return "∞" if value > 0 else "–"
+    places = 0 if abs(value) >= 9.95 else 1
+    while value and places < 4 and not float(f"{value:.{places}f}"):
+        places += 1
+    text = f"{value:.{places}f}"
+    return (text if float(text) else "0.0").replace("-", "−")
 
 
 def numeric(values: Sequence[object]) -> bool:

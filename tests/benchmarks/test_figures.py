@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from railstate.benchmarks.commands.report import plot
+from railstate.benchmarks.judging.ranks import over_settings
 from railstate.benchmarks.telling.figures.axes import MARKERS, Scale, spanning, tick_text
 from railstate.benchmarks.telling.figures.canvas import DARK, LIGHT, Canvas
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, drawn
 from railstate.benchmarks.telling.figures.data import Curve, Results, assign_styles, load_results
 from railstate.benchmarks.telling.figures.errors import binned_rms
-from railstate.benchmarks.telling.figures.ranks import rank_over_variants
 from railstate.scenarios.errors import InputError
 
-from ..synthetic_results import BRAKING, CBTC, METRO, PERIOD, RUNS, write_results
+from ..synthetic_results import BRAKING, CBTC, METRO, PERIOD, write_results
 
 SERIES = {LIGHT[f"c{i}"] for i in range(8)}
 
@@ -83,16 +83,18 @@ def test_long_curves_are_averaged_in_bins_and_thin_ends_left_out() -> None:
     assert np.allclose(low, high)
 
 
-def test_ranks_put_the_best_first_and_leave_out_oracles_and_those_that_failed(results: Results) -> None:
-    found = rank_over_variants(results.scenarios["cbtc-csma"], "position")
+def test_ranks_put_the_best_first_those_that_failed_last_and_leave_out_oracles(results: Results) -> None:
+    table = results.verdicts
+    found = over_settings(table[table["scenario"] == "cbtc-csma"], "position")
     assert found is not None
     labels, ranks = found
-    assert labels == ["direct", "kalman", "ultimate-bound"]
-    assert ranks.n == 2 * (RUNS - 1)
+    assert labels == ["direct", "kalman", "ultimate-bound", "fastest-decay"]
+    assert ranks.n == 2  # variants, not runs
     assert labels[int(np.argmin(ranks.mean))] == "kalman"
-    braking = rank_over_variants(results.scenarios["braking-rate"], "f")
-    assert braking is not None
-    assert "kalman-known-f" not in braking[0]
+    assert ranks.mean[3] == 3.5  # third where it finished, last where it lost every run
+    assert over_settings(table[table["scenario"] == "braking-rate"], "f") is None  # one variant
+    metro = over_settings(table.assign(verdict=table["verdict"].where(table["estimator"] != "ekf", "oracle")), "speed")
+    assert metro is not None and "ekf" not in metro[0]
 
 
 def test_estimators_seen_together_look_different_and_few_of_them_in_colour(results: Results) -> None:

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from railstate.benchmarks.judging.summary import SUMMARY_COLUMNS as SUMMARY
+from railstate.benchmarks.judging.table import SUMMARY_COLUMNS as SUMMARY
+from railstate.benchmarks.judging.table import VERDICT_COLUMNS, verdicts
 from railstate.benchmarks.scoring.columns import TIMING
 from railstate.benchmarks.studies.complete import Store
 from railstate.benchmarks.telling.figures.canvas import LIGHT
@@ -47,7 +48,13 @@ def test_files_and_their_columns(railstate: Command) -> None:
     part = frame[frame["variant"] == "rough"]["rmse:position:m"].to_numpy()
     line = summary.query("variant == 'rough' and metric == 'rmse' and quantity == 'position'").iloc[0]
     assert line["mean"] == pytest.approx(np.sqrt(np.mean(part**2)), rel=1e-12) and line["runs"] == 12
+    table = pd.read_parquet(out / "verdicts.parquet")
+    assert tuple(table) == VERDICT_COLUMNS
+    pd.testing.assert_frame_equal(table, verdicts(frame, Store(out).manifest()))
+    written = pd.read_csv(out / "verdicts.csv", keep_default_na=False, na_values=[""])
+    assert len(written) == len(table) and written["value"].to_numpy() == pytest.approx(table["value"].to_numpy())
     assert (out / "tables" / "cart~calm.md").read_text().startswith("## cart/calm")
+    assert "± is half of the 95 % interval" in (out / "tables" / "cart~calm.md").read_text()
     tex = (out / "tables" / "cart~calm.tex").read_text()
     assert r"\toprule" in tex and tex.isascii()
     manifest = json.loads((out / "manifest.json").read_text())
@@ -272,8 +279,8 @@ def test_sweep_writes_rows_table_and_plots(railstate: Command) -> None:
                      "--estimators", "half,kalman", "--out", "swept")
     assert done.code == 0, done.err
     table = pd.read_csv(railstate.folder / "swept" / "sweep.csv")
-    part = table.query("metric == 'rmse' and quantity == 'position' and estimator == 'kalman'").set_index("channel.p")
-    assert part.loc[0.3, "mean"] > part.loc[0.9, "mean"]
+    part = table.query("kind == 'error' and quantity == 'position' and estimator == 'kalman'").set_index("channel.p")
+    assert part.loc[0.3, "value"] > part.loc[0.9, "value"]
     drawn = (railstate.folder / "swept" / "rmse-position.svg").read_text()
     assert LIGHT["c0"] in drawn and LIGHT["c1"] in drawn  # the report's colours, one for each estimator
     assert "rmse position" in done.out

@@ -38,8 +38,8 @@ class Figure:
 
 FIGURES: tuple[Figure, ...] = (
     Figure("error-over-time", "Error over time",
-           "Root mean square error over all runs at each instant; with up to eight estimators a band shows its 95 % "
-           "interval.", error_over_time),
+           "Root mean square error at each instant over the runs that finished, as in the table; with up to eight "
+           "estimators a band shows its 95 % interval.", error_over_time),
     Figure("errors-per-run", "Error per run",
            "One value per run: box from the first to the third quartile, bar at the median, line from 5 % to 95 %, "
            "dots at the extremes.", errors_per_run),
@@ -68,14 +68,15 @@ FIGURES: tuple[Figure, ...] = (
            "First kept run, a point a step. In the grey the claimed interval misses the truth: hazardous where the "
            "interval is relied on.", claim_against_error),
     Figure("critical-difference", "Ranks over all variants",
-           "Mean rank over all runs of all variants. Bars on the right join estimators that Wilcoxon's test with "
-           "Holm's correction does not tell apart, or that differ by less than 1 %.", draw_all=critical_difference),
+           "Mean rank (1 is best) with the variants as blocks, and Friedman's p that all are alike. Bars join "
+           "estimators whose ranks differ by less than Nemenyi's critical difference.", draw_all=critical_difference),
     Figure("speed-profile", "The trip",
            "First kept run over its position: speeds true and estimated, errors of the estimated speed, the line's "
            "gradients, and the disturbance no estimator knows.",
            speed_profile, kinds=("metro",)),
     Figure("sections", "Errors by section",
-           "Root mean square error on each section of the trip, over all runs.", errors_by_section, kinds=("metro",)),
+           "Root mean square error on each section of the trip, over the runs that finished.", errors_by_section,
+           kinds=("metro",)),
     Figure("recorded-trip", "The recorded trip",
            "First kept run. Bands are two claimed standard deviations wide on either side; grey: readings are out.",
            recorded_trip, kinds=("recorded",)),

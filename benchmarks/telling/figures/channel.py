@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...judging.statistics import mean_interval
-from ...scoring.columns import metric_columns
 from .axes import Panel, Scale, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import CellResults
@@ -41,25 +39,23 @@ def receptions(cell: CellResults) -> Canvas | None:
 
 def headway(cell: CellResults) -> Canvas | None:
     """Headway time over speed, from each estimator's own largest position error, with 95 % intervals."""
-    columns = [(float(quantity.rpartition("-")[2]), column) for column, metric, quantity, _ in metric_columns(cell.rows)
-               if metric == "headway" and quantity.rpartition("-")[2].isdecimal()]
-    if len(columns) < 2:
-        return None
-    columns.sort()
-    speeds = np.array([speed for speed, _ in columns])
-    found = {label: [mean_interval(cell.values(column)[label]) for _, column in columns] for label in cell.labels}
-    found = {label: values for label, values in found.items() if all(value.n for value in values)}
-    if not found:
+    lines = [(float(line["quantity"].rpartition("-")[2]), line) for line in cell.lines("value", "headway")
+             if line["quantity"].rpartition("-")[2].isdecimal()]
+    speeds = np.unique([speed for speed, _ in lines])
+    found = {label: [line for _, line in sorted(lines, key=lambda item: item[0]) if line["estimator"] == label]
+             for label in cell.labels}
+    found = {label: values for label, values in found.items() if len(values) == len(speeds)}
+    if len(speeds) < 2 or not found:
         return None
     room = legend_height(list(found), WIDTH - 8)
     canvas = Canvas(14 + 130 + 26 + room, f"Headway, {cell.key}")
     panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(speeds, log=False),
-                  spanning(*([v.value for v in values] for values in found.values()), log=False),
+                  spanning(*([v["value"] for v in values] for values in found.values()), log=False),
                   title="headway [s]", x_label="speed [km/h]")
     for label, values in found.items():
-        panel.band(speeds, [v.low for v in values], [v.high for v in values], cell.styles[label].colour)
-        panel.line(speeds, [v.value for v in values], cell.styles[label], title=label)
+        panel.band(speeds, [v["low"] for v in values], [v["high"] for v in values], cell.styles[label].colour)
+        panel.line(speeds, [v["value"] for v in values], cell.styles[label], title=label)
         for speed, value in zip(speeds, values, strict=True):
-            panel.mark(float(speed), value.value, cell.styles[label], size=2.2)
+            panel.mark(float(speed), value["value"], cell.styles[label], size=2.2)
     legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in found], markers=True)
     return canvas

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...judging.statistics import mean_se, pooled_rmse
-from ..wording import metric_name
+from ..wording import bracket, metric_name
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT, bracket
+from .errors import LEFT, RIGHT
 
 
 def accuracy_against_latency(cell: CellResults) -> Canvas | None:
@@ -24,17 +23,16 @@ def accuracy_against_latency(cell: CellResults) -> Canvas | None:
     each, room = 96.0, legend_height(labels, WIDTH - 8)
     canvas = Canvas(len(columns) * (each + 18) + 24 + room, f"Accuracy against latency, {cell.key}")
     x = spanning(*(latency[label] for label in labels), log=True, margin=0.08)
-    for row, (column, metric, quantity, raw) in enumerate(columns):
+    for row, (_, metric, quantity, raw) in enumerate(columns):
         unit, factor = cell.unit(metric, quantity, raw)
-        summary = pooled_rmse if metric == "rmse" else mean_se
-        errors = {label: summary(values)[0] * factor for label, values in cell.values(column).items()}
+        errors = {line["estimator"]: line["value"] * factor for line in cell.lines("error", metric, quantity)}
         last = row == len(columns) - 1
         panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x,
                       spanning(list(errors.values()), zero=True, margin=0.1), x_ticks=last,
                       title=bracket(f"{metric_name(metric)} of {quantity}", unit),
                       x_label="latency of a step, median to 99 % [µs]" if last else "")
         for label in labels:
-            if np.isfinite(errors[label]):
+            if np.isfinite(errors.get(label, np.nan)):
                 style = cell.styles[label]
                 ends = panel.points(latency[label], [errors[label]] * 2)
                 canvas.path(ends, stroke=style.colour, width=0.8)

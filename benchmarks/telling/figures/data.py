@@ -17,9 +17,11 @@ import pandas as pd
 from ....scenarios.arrays import Array
 from ....scenarios.registry import setting_of
 from ....scenarios.setting import Setting
-from ...judging.verdicts import Column, Judged, by_run, judge, judged_columns, oracle_labels
+from ...judging.selection import Aligned, Column, apart
+from ...judging.table import verdicts_of
 from ...scoring.columns import shown_unit
 from ...store.folder import Store
+from ..sayings import Line, records
 from .axes import DASHES, MARKERS, Style
 from .canvas import COLOURS
 
@@ -48,7 +50,8 @@ class Kept:
 @dataclass(frozen=True)
 class CellResults:
     """One variant of one scenario. curves: by (estimator, quantity). kept: by (estimator, name) of the first kept run,
-    estimator "" for the truth's own. kind: the plant's. about: the scenario's part of the manifest."""
+    estimator "" for the truth's own. kind: the plant's. about: the scenario's part of the manifest. verdicts: its
+    part of the verdict table."""
 
     scenario: str
     variant: str
@@ -57,6 +60,7 @@ class CellResults:
     table: Mapping[str, Any]
     runs: int
     rows: pd.DataFrame
+    verdicts: pd.DataFrame
     curves: Mapping[tuple[str, str], Curve]
     kept: Mapping[tuple[str, str], Kept]
     timing: Mapping[str, Mapping[str, float]]
@@ -83,17 +87,29 @@ class CellResults:
     @cached_property
     def judged(self) -> list[Column]:
         """The error columns that are judged, one per quantity."""
-        return judged_columns(self.rows, self.about)
+        found = dict.fromkeys((line["metric"], line["quantity"], line["unit"]) for line in self.lines("error"))
+        return [(":".join(names), *names) for names in found]
 
     @cached_property
-    def judgements(self) -> dict[str, dict[str, Judged]]:
-        """Per judged quantity, each estimator judged against the best."""
-        return {quantity: judge(self.values(column), metric, self.oracles)
-                for column, metric, quantity, _ in self.judged}
+    def _lines(self) -> dict[str, list[dict[str, Any]]]:
+        return {str(kind): records(part) for kind, part in self.verdicts.groupby("kind", sort=False)}
+
+    def lines(self, kind: str, metric: str = "", quantity: str = "") -> list[dict[str, Any]]:
+        """Lines of the verdict table of a kind, a metric, a quantity (empty: any)."""
+        return [line for line in self._lines.get(kind, []) if line["metric"] == (metric or line["metric"])
+                and line["quantity"] == (quantity or line["quantity"])]
+
+    def line(self, kind: str, metric: str, quantity: str, label: str) -> Line | None:
+        """One estimator's line of the verdict table, or None."""
+        return next((line for line in self.lines(kind, metric, quantity) if line["estimator"] == label), None)
 
     def values(self, column: str) -> dict[str, Array]:
         """A column of the rows per estimator, aligned by run."""
-        return by_run(self.rows, column)
+        return dict(zip(self._aligned.labels, self._aligned.values(column), strict=True))
+
+    @cached_property
+    def _aligned(self) -> Aligned:
+        return Aligned(self.rows)
 
     def unit(self, metric: str, quantity: str, unit: str) -> tuple[str, float]:
         """Shown unit and factor."""
@@ -117,6 +133,7 @@ class Results:
     folder: Path
     manifest: Mapping[str, Any]
     rows: pd.DataFrame
+    verdicts: pd.DataFrame
     scenarios: Mapping[str, Sequence[CellResults]]
     styles: Mapping[str, Style]
 
@@ -127,6 +144,8 @@ def load_results(folder: str | Path) -> Results:
     manifest, rows = store.manifest(), store.rows()
     curves = _curves(store.curves())
     kept = _kept(store.trajectories())
+    verdicts = verdicts_of(store)
+    parts = dict(tuple(verdicts.groupby(["scenario", "variant"], sort=False)))
     timing = _timing(store.timing())
     styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
     scenarios: dict[str, list[CellResults]] = {}
@@ -136,9 +155,10 @@ def load_results(folder: str | Path) -> Results:
         table = manifest["replay"]["cells"]["/".join(key)]["table"]
         scenarios.setdefault(key[0], []).append(CellResults(
             *key, about["kind"], about, table, int(manifest["configuration"]["runs"]),
-            part.dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
-            timing.get(key, {}), styles, frozenset(oracle_labels(manifest, *key))))
-    return Results(store.folder, manifest, rows, scenarios, styles)
+            part.dropna(axis=1, how="all").reset_index(drop=True), parts[scenario, variant], curves.get(key, {}),
+            kept.get(key, {}), timing.get(key, {}), styles,
+            frozenset(label for label, why in apart(manifest, *key).items() if why == "oracle")))
+    return Results(store.folder, manifest, rows, verdicts, scenarios, styles)
 
 
 def assign_styles(groups: Sequence[Sequence[str]]) -> dict[str, Style]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ....scenarios.arrays import Array
 from ...judging.statistics import finite
-from ..wording import metric_name
+from ..wording import bracket, metric_name
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas, text_width
 from .data import CellResults, Curve
@@ -17,11 +17,6 @@ from .data import CellResults, Curve
 MOST, CROWD = 3, 8
 BINS = 130
 LEFT, RIGHT = 36.0, 6.0
-
-
-def bracket(name: str, unit: str) -> str:
-    """`name [unit]`, or the name alone where there is no unit."""
-    return f"{name} [{unit}]" if unit else name
 
 
 def binned_rms(curve: Curve) -> tuple[Array, Array, Array, Array]:

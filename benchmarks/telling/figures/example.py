@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..wording import some
+from ..wording import bracket, some
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import CellResults
-from .errors import LEFT, MOST, RIGHT, bracket
+from .errors import LEFT, MOST, RIGHT
 
 POINTS = 260
 CROWDED_OUT = 12.0

@@ -65,9 +65,9 @@ def speed_profile(cell: CellResults) -> Canvas | None:
 
 def _best_and_worst(cell: CellResults, labels: list[str]) -> list[str]:
     """Of the estimators with a kept run those of least and greatest judged speed error (one where it is the same)."""
-    found = cell.judgements.get("speed", {})
-    known = [label for label in labels if label in found and np.isfinite(found[label].value.value)] or labels[:1]
-    error = {label: found[label].value.value if label in found else 0.0 for label in known}
+    found = {line["estimator"]: line["value"] for line in cell.lines("error", quantity="speed")}
+    known = [label for label in labels if np.isfinite(found.get(label, np.nan))] or labels[:1]
+    error = {label: found.get(label, 0.0) for label in known}
     return list(dict.fromkeys((min(known, key=error.__getitem__), max(known, key=error.__getitem__))))
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ....scenarios.arrays import Array
+from ..wording import bracket
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT, bracket
+from .errors import LEFT, RIGHT
 from .example import thinned
 
 BANDS = 2.0

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...judging.statistics import pooled_rmse
-from ...scoring.columns import window_columns
+from ..tables import windows
+from ..wording import bracket
 from .axes import Panel, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT, bracket
+from .errors import LEFT, RIGHT
 
 
 def errors_by_section(cell: CellResults) -> Canvas | None:
     """Pooled RMSE of each quantity on each section, per estimator."""
-    found = window_columns(cell.rows.columns, cell.about["quantities"])
-    found = {name: columns for name, columns in found.items() if len(columns) > 1}
+    names = list(dict.fromkeys(f"{line['metric']}:{line['quantity']}:{line['unit']}" for line in cell.lines("value")))
+    found = windows(names, cell.about["quantities"])
     if not found:
         return None
     each, labels = 96.0, cell.labels
@@ -23,9 +23,10 @@ def errors_by_section(cell: CellResults) -> Canvas | None:
     canvas = Canvas(len(found) * (each + 18) + 24 + room, f"Errors by section, {cell.key}")
     for row, (quantity, columns) in enumerate(found.items()):
         last, sections = row == len(found) - 1, np.arange(1, len(columns) + 1)
-        unit, factor = cell.unit("rmse", quantity, columns[0][1].rpartition(":")[2])
-        errors = {label: np.array([pooled_rmse(cell.values(column)[label])[0] * factor for _, column in columns])
-                  for label in labels}
+        lines = {(line["quantity"], line["estimator"]): line for line in cell.lines("value", "rmse")}
+        unit = next(line["shown_unit"] for key, line in lines.items() if key[0] == columns[0][1])
+        errors = {label: np.array([lines[name, label]["value"] * lines[name, label]["factor"]
+                                   if (name, label) in lines else np.nan for _, name in columns]) for label in labels}
         panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each,
                       spanning(sections, log=False, margin=0.02), spanning(*errors.values(), zero=True), whole=True,
                       title=bracket(f"RMSE of {quantity}", unit), x_ticks=last, x_label="section" if last else "")

@@ -7,7 +7,6 @@ from collections import Counter
 import numpy as np
 
 from ...judging.statistics import chi_square_interval
-from ...judging.verdicts import bound_check, nees_states
 from ..wording import counted
 from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
 from .canvas import WIDTH, Canvas
@@ -17,17 +16,17 @@ from .errors import BINS, LEFT, RIGHT, label_room
 
 def nees_over_time(cell: CellResults) -> Canvas | None:
     """NEES averaged over the runs at single steps, divided by the number of states, and the chi-square interval."""
-    states = {str(label): nees_states(part) for label, part in cell.rows.groupby("estimator", sort=False)}
+    claimed = {line["estimator"] for line in cell.lines("consistency", "nees")}
+    states = {str(label): int(part["nees_states"].max()) for label, part in cell.rows.groupby("estimator", sort=False)
+              if label in claimed}
     runs = max((int(cell.curves[label, "nees"].active.max(initial=0.0)) for label in states
                 if (label, "nees") in cell.curves), default=0)
-    return _over_time(cell, "nees", {label: n for label, n in states.items() if n}, "NEES",
-                      f"NEES / states, mean of {counted(runs, 'run')}")
+    return _over_time(cell, "nees", states, "NEES", f"NEES / states, mean of {counted(runs, 'run')}")
 
 
 def nis_over_time(cell: CellResults) -> Canvas | None:
     """NIS averaged over what all runs received at single steps, and its chi-square interval. Needs no truth."""
-    labels = [str(label) for label in cell.rows["estimator"].unique()]
-    return _over_time(cell, "nis", dict.fromkeys(labels, 1), "NIS", "NIS / elements received, mean over the runs")
+    return _over_time(cell, "nis", dict.fromkeys(cell.labels, 1), "NIS", "NIS / elements received, mean over the runs")
 
 
 def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: str, title: str) -> Canvas | None:
@@ -62,20 +61,19 @@ def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: 
 
 def certified_against_measured(cell: CellResults) -> Canvas | None:
     """Mean-square bounds that estimators certify (bars) beside the mean squares measured, with 95 % intervals."""
-    found = {str(label): bound_check(part) for label, part in cell.rows.groupby("estimator", sort=False)}
-    checks = {label: bound for label, bound in found.items() if bound}
+    checks = {line["estimator"]: line for line in cell.lines("claim", "bound")}
     if not checks:
         return None
     left, step = label_room(list(checks)), 16.0
     height = step * len(checks) + 4
     canvas = Canvas(height + 54, f"Certified bounds against measured mean squares, {cell.key}")
-    values = [v for b in checks.values() for v in (b.certified, b.measured.value)]
+    values = [v for line in checks.values() for v in (line["value"] / line["ratio"], line["value"])]
     panel = Panel(canvas, left, 14, WIDTH - left - RIGHT - 4, height, spanning(values, log=True, margin=0.1),
                   Scale(0, 1), y_ticks=False, x_label="mean square of the performance output")
     for place, (label, bound) in enumerate(checks.items()):
         y, style = 16 + step * (place + 0.5), cell.styles[label]
         low, value, high, limit = (panel.points([v], [0])[0, 0] for v in
-                                   (bound.measured.low, bound.measured.value, bound.measured.high, bound.certified))
+                                   (bound["low"], bound["value"], bound["high"], bound["value"] / bound["ratio"]))
         canvas.path([(value, y), (limit, y)], stroke=style.colour, width=0.6, dash=(1.5, 1.5))
         canvas.path([(limit, y - 6), (limit, y + 6)], stroke=style.colour, width=2.2, title=f"{label}: certified")
         canvas.path([(low, y), (high, y)], stroke=style.colour, width=2.0)

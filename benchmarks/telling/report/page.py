@@ -14,14 +14,15 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ....scenarios.errors import InputError
-from ...judging import statistics as st
-from ...judging.contests import robust_contests
+from ...judging.claims import TOLERANCE
+from ...judging.family import LEAST, MARGIN
 from ...store.folder import write_whole
 from ..figures.axes import Style, draw_marker
 from ..figures.canvas import DARK, LIGHT, Canvas
 from ..figures.catalogue import FIGURES, Figure, of_scenario
 from ..figures.data import CellResults, Results, load_results
 from ..paragraphs import paragraph
+from ..sayings import caption, robust_contests
 from ..wording import counted, notes_of
 from .table import Failure, Table, contest_table, failures, table
 
@@ -88,8 +89,8 @@ def render(results: Results) -> str:
         script=Markup(here.joinpath("page.js").read_text(encoding="utf-8")),
         light=Markup(colours["light"]), dark=Markup(colours["dark"]), facts=facts(results),
         sections=[section(results, name, cells) for name, cells in results.scenarios.items()],
-        chips={label: chip(style) for label, style in results.styles.items()}, resolution=f"{100 * st.RESOLUTION:g} %",
-        alpha=f"{st.ALPHA:g}", level=f"{100 * (1 - st.ALPHA):g} %")
+        chips={label: chip(style) for label, style in results.styles.items()}, margin=f"{100 * MARGIN:g} %",
+        tolerance=f"{100 * TOLERANCE:g} %", least=LEAST)
 
 
 def facts(results: Results) -> list[tuple[str, str]]:
@@ -133,9 +134,10 @@ def section(results: Results, name: str, cells: Sequence[CellResults]) -> Sectio
     about = cells[0].about
     kept = any(cell.kept for cell in cells)
     return Section(
-        name, about["title"], about["source"], paragraph(results.rows, results.manifest, name),
-        contest_table(robust_contests(results.rows, results.manifest, name)), whole,
-        [Variant(cell.variant, about["variants"][cell.variant]["title"], notes_of(about["variants"][cell.variant]),
+        name, about["title"], about["source"], paragraph(results.verdicts, name),
+        contest_table(robust_contests(results.verdicts, name)), whole,
+        [Variant(cell.variant, about["variants"][cell.variant]["title"],
+                 [caption(cell.lines("error"), cell.runs), *notes_of(about["variants"][cell.variant])],
                  cell.runs, table(cell), failures(cell, str(results.folder)), by_variant[cell.variant])
          for cell in cells],
         "" if kept else "Example runs are not shown: this run kept no trajectories (railstate run --keep 1).")

@@ -8,14 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
-from ...judging import statistics as st
-from ...judging.contests import Contest
-from ...judging.verdicts import Judged, bound_check, column_values, nees_states
-from ...scoring.columns import metric_columns
 from ..figures.data import CellResults
-from ..wording import change_interval, counted, metric_name, number, percent, plus_minus, rough
+from ..sayings import Line, deciding, drawn
+from ..tables import value_words
+from ..wording import change_interval, counted, metric_name, number, percent, plus_minus, ratio, rough
 
 
 @dataclass(frozen=True)
@@ -49,134 +46,119 @@ class Table:
 
 def table(cell: CellResults) -> Table:
     """The table of a variant."""
-    parts = {str(label): part for label, part in cell.rows.groupby("estimator", sort=False)}
-    columns: list[tuple[tuple[str, str], Callable[[str, pd.DataFrame], Entry]]] = []
+    columns: list[tuple[tuple[str, str], Callable[[str], Entry]]] = []
     for _, metric, quantity, raw in cell.judged:
-        unit, factor = cell.unit(metric, quantity, raw)
-        name = f"{quantity} {metric_name(metric)}"
-        found = cell.judgements[quantity]
-        columns.append(((name, unit), lambda label, _, found=found, factor=factor: _error(found[label], factor)))
-    for column, metric, quantity, raw in _outcomes(cell):
-        unit, factor = cell.unit(metric, quantity, raw)
+        columns.append(((f"{quantity} {metric_name(metric)}", cell.unit(metric, quantity, raw)[0]),
+                        lambda label, key=(metric, quantity): _error(cell.line("error", *key, label))))
+    for metric, quantity, unit in _outcomes(cell):
         columns.append(((f"{quantity} {metric}" if metric not in quantity else quantity, unit),
-                        lambda _, part, column=column, factor=factor: _outcome(part, column, factor)))
-    if any(nees_states(part) for part in parts.values()):
-        columns.append((("ANEES", "1 is right"), lambda _, part: _anees(part)))
-    if any(column_values(part, "coverage:ellipsoid:1").size for part in parts.values()):
-        columns.append((("set holds the truth", "of steps"), lambda _, part: _coverage(part, cell)))
-    if any(bound_check(part) for part in parts.values()):
-        columns.append((("measured / certified", "mean square"), lambda _, part: _bound(part)))
-    columns.append((("not finished", "runs"), lambda _, part: _failures(part)))
+                        lambda label, key=(metric, quantity): _outcome(
+                            cell.line("value", *key, label) or cell.line("share", *key, label))))
+    for metric, quantity in dict.fromkeys((line["metric"], line["quantity"]) for line in cell.lines("consistency")):
+        columns.append((("ANEES" if metric == "nees" else f"{quantity} {metric}", "1 is right"),
+                        lambda label, key=(metric, quantity): _consistency(cell.line("consistency", *key, label))))
+    if cell.lines("claim", "coverage"):
+        columns.append((("set holds the truth", "of steps"), lambda label: _coverage(cell, label)))
+    if cell.lines("claim", "bound"):
+        columns.append((("measured / certified", "mean square"),
+                        lambda label: _bound(cell.line("claim", "bound", "performance", label))))
+    columns.append((("not finished", "runs"), lambda label: _failures(cell.line("reliability", "lost", "runs", label))))
     if cell.timing:
-        columns.append((("latency, 99 %", "µs"), lambda label, _: _latency(cell, label)))
-        columns.append((("throughput", "ns per run and step"),
-                        lambda label, _: _time(cell, label, "throughput_ns", 1.0)))
-        columns.append((("design", "s"), lambda label, _: _time(cell, label, "design_s", 0.001)))
-    lines = [TableLine(label, "oracle" if label in cell.oracles else "", [make(label, part) for _, make in columns])
-             for label, part in parts.items()]
+        columns.append((("latency, 99 %", "µs"), lambda label: _latency(cell, label)))
+        columns.append((("throughput", "ns per run and step"), lambda label: _time(cell, label, "throughput_ns", 1.0)))
+        columns.append((("design", "s"), lambda label: _time(cell, label, "design_s", 0.001)))
+    lines = [TableLine(label, "oracle" if label in cell.oracles else "", [make(label) for _, make in columns])
+             for label in cell.labels]
     return Table([head for head, _ in columns], lines)
 
 
-def contest_table(challengers: Mapping[str, Mapping[tuple[str, str], Sequence[Contest]]]) -> Table:
-    """Challengers against rivals, a line per challenger, quantity and rival, a column per variant."""
-    contests = [(challenger, f"{quantity}, against {rival}", {contest.variant: contest for contest in found})
-                for challenger, table in challengers.items() for (rival, quantity), found in table.items()]
-    variants = list(dict.fromkeys(variant for _, _, found in contests for variant in found))
-    lines: list[TableLine] = []
-    for challenger, note, found in contests:
-        better = sum(contest.verdict == "better" for contest in found.values())
-        lines.append(TableLine(challenger, note, [Entry(f"{better} of {len(found)}", "", better),
-                                             *(_contest(found.get(variant)) for variant in variants)]))
-    return Table([("better in", "variants"), *((variant, "") for variant in variants)], lines)
+def contest_table(challengers: Mapping[tuple[str, str, str], Sequence[Line]]) -> Table:
+    """Challengers against rivals (by challenger, rival, quantity), a line each, a column per variant."""
+    variants = list(dict.fromkeys(line["variant"] for lines in challengers.values() for line in lines))
+    out: list[TableLine] = []
+    for (challenger, rival, quantity), lines in challengers.items():
+        better = sum(line["verdict"] == "better" for line in lines)
+        found = {line["variant"]: line for line in lines}
+        out.append(TableLine(challenger, f"{quantity}, against {rival}", [
+            Entry(f"{better} of {len(lines)}", "", better), *(_contest(found.get(variant)) for variant in variants)]))
+    return Table([("better in", "variants"), *((variant, "") for variant in variants)], out)
 
 
-def _contest(contest: Contest | None) -> Entry:
-    if contest is None:
+def _contest(line: Line | None) -> Entry:
+    if line is None:
         return Entry("no runs of both", kind="none")
-    return Entry(change_interval(contest.found), f"{contest.verdict}, wins {percent(contest.found.won)}",
-                 contest.found.relative, {"better": "good", "worse": "bad"}.get(contest.verdict, ""))
+    return Entry(change_interval(line), f"{line['verdict']}, wins {percent(line['won'])}", line["ratio"],
+                 {"better": "good", "worse": "bad"}.get(line["verdict"], ""))
 
 
-def _outcomes(cell: CellResults) -> list[tuple[str, str, str, str]]:
-    """Columns of the scenario's table that are neither judged errors nor claims."""
-    judged = {column[1:3] for column in cell.judged}
+def _outcomes(cell: CellResults) -> list[tuple[str, str, str]]:
+    """(metric, quantity, shown unit) of the scenario's table that are neither judged errors nor claims."""
     wanted = [tuple(pair) for pair in cell.about["table"]]
-    found = {(metric, quantity): (column, metric, quantity, unit)
-             for column, metric, quantity, unit in metric_columns(cell.rows)}
-    return [found[pair] for pair in wanted if pair in found and pair not in judged and pair[0] not in
+    found = {(line["metric"], line["quantity"]): line["shown_unit"]
+             for line in [*cell.lines("value"), *cell.lines("share")]}
+    return [(*pair, found[pair]) for pair in wanted if pair in found and pair[0] not in
             ("nees", "coverage", "half-width", "bound", "mean-square")]
 
 
-def _error(found: Judged, factor: float) -> Entry:
-    if found.verdict == "none":
+def _error(line: Line | None) -> Entry:
+    if line is None or not line["runs"]:
         return Entry("no finished run", kind="none")
-    text, value = plus_minus(found.value, factor), found.value.value * factor
-    if found.against is None:
-        return Entry(text, "best", value, "good")
-    versus = (f"{change_interval(found.against)}, wins {percent(found.against.won)}"
-              if np.isfinite(found.against.relative) else "the best has no error")
-    words = {"tie": "tie", "worse": "worse", "oracle": "not ranked", "incomplete": "too few runs"}[found.verdict]
-    return Entry(text, f"{words}: {versus}", value, {"tie": "good", "worse": "bad"}.get(found.verdict, ""))
+    text, value, word = value_words(line), line["value"] * line["factor"], drawn(line)
+    if word in ("best", "oracle"):
+        return Entry(text, "best" if word == "best" else "not ranked", value, "good" if word == "best" else "")
+    if word == "lost":
+        return Entry(text, f"lost more runs than equals would; ratio {ratio(line['ratio'])} with the lost runs", value,
+                     "bad")
+    versus = (f"{change_interval(line)}, wins {percent(line['won'])}" if np.isfinite(line["ratio"])
+              else "the best has no error")
+    return Entry(text, f"{word}: {versus}{deciding(line)}", value, {"tie": "good", "worse": "bad"}.get(word, ""))
 
 
-def _outcome(part: pd.DataFrame, column: str, factor: float) -> Entry:
-    """Mean with its interval; what is 0 or 1 per run is counted instead, with Wilson's interval of the share."""
-    values = column_values(part, column)
-    if not values.size:
+def _outcome(line: Line | None) -> Entry:
+    """Mean with its interval; what is 0 or 1 per run is counted instead, with the interval of the share."""
+    if line is None:
         return Entry("no value", kind="none")
-    if column.endswith(":1") and np.isin(values, (0.0, 1.0)).all():
-        share = st.wilson(int(values.sum()), values.size)
-        return Entry(f"{int(values.sum())} of {values.size}", f"{percent(share.low)} to {percent(share.high)}",
-                     share.value)
-    found = st.mean_interval(values)
-    return Entry(plus_minus(found, factor), "", found.value * factor)
+    if line["kind"] == "share":
+        return Entry(f"{round(line['value'] * line['runs'])} of {line['runs']}",
+                     f"{percent(line['low'])} to {percent(line['high'])}", line["value"])
+    return Entry(plus_minus(line), "", line["value"] * line["factor"])
 
 
-def _anees(part: pd.DataFrame) -> Entry:
-    states = nees_states(part)
-    if not states:
+def _consistency(line: Line | None) -> Entry:
+    if line is None:
         return Entry("claims no covariance", kind="none")
-    values = part["nees:state:1"].to_numpy(dtype=float)
-    found, word = st.anees(values, states), st.consistency(values, states)
-    low, high = st.chi_square_interval(found.n, states)
-    return Entry(f"{number(found.value)} [{number(found.low)}, {number(found.high)}]",
-                 f"{word}; χ² of a step [{number(low)}, {number(high)}]",
-                 found.value, {"too sure": "bad", "consistent": "good"}.get(word, ""))
+    beside = [f"median {number(line['median'])}" if np.isfinite(line["median"]) else "",
+              f"{percent(line['inside'], 3)} of steps inside 95 %" if np.isfinite(line["inside"]) else "", line["note"]]
+    return Entry(f"{number(line['value'])} [{number(line['low'])}, {number(line['high'])}]",
+                 "; ".join(filter(None, [line["verdict"], *beside])), line["value"],
+                 {"too sure": "bad", "consistent": "good"}.get(line["verdict"], ""))
 
 
-def _coverage(part: pd.DataFrame, cell: CellResults) -> Entry:
-    inside = column_values(part, "coverage:ellipsoid:1")
-    if not inside.size:
+def _coverage(cell: CellResults, label: str) -> Entry:
+    line = cell.line("claim", "coverage", "ellipsoid", label)
+    if line is None:
         return Entry("claims no set", kind="none")
-    widths = []
-    for column, metric, quantity, raw in metric_columns(part):
-        if metric == "half-width":
-            unit, factor = cell.unit(metric, quantity, raw)
-            widths.append(f"{quantity} ±{number(st.mean_se(part[column])[0] * factor)} {unit}".rstrip())
-    left = int((inside < 1).sum())
-    broken = f"left in {left} of {inside.size} runs" if left else f"never left in {counted(inside.size, 'run')}"
-    return Entry(percent(float(inside.mean())), "; ".join([broken, *widths]), float(inside.mean()),
-                 "bad" if left else "good")
+    widths = [f"{each['quantity']} ±{number(each['value'] * each['factor'])} {each['shown_unit']}".rstrip()
+              for each in cell.lines("value", "half-width") if each["estimator"] == label]
+    broken = line["note"] or f"never left in {counted(line['runs'], 'run')}"
+    return Entry(percent(line["value"]), "; ".join([broken, *widths]), line["value"],
+                 "good" if line["verdict"] == "kept" else "bad")
 
 
-def _bound(part: pd.DataFrame) -> Entry:
-    found = bound_check(part)
-    if not found:
+def _bound(line: Line | None) -> Entry:
+    if line is None:
         return Entry("certifies no bound", kind="none")
-    share = found.measured.value / found.certified
-    return Entry(f"{number(found.measured.value)} / {number(found.certified)}",
-                 f"{'broken' if found.broken else 'kept'}: {percent(share)} of the bound", share,
-                 "bad" if found.broken else "good")
+    return Entry(f"{number(line['value'])} / {number(line['value'] / line['ratio'])}",
+                 f"{line['verdict']}: {percent(line['ratio'])} of the bound", line["ratio"],
+                 {"broken": "bad", "kept": "good"}.get(line["verdict"], ""))
 
 
-def _failures(part: pd.DataFrame) -> Entry:
-    bad = part.loc[part["status"] != "ok", "status"].value_counts()
-    count = int(bad.sum())
-    share = st.wilson(count, len(part))
-    words = ", ".join(f"{n} {status}" for status, n in bad.items())
-    interval = f"{percent(share.low)} to {percent(share.high)}"
-    return Entry(f"{count} of {len(part)}", f"{words}; {interval}" if words else interval, share.value,
-                 "bad" if count else "")
+def _failures(line: Line | None) -> Entry:
+    if line is None:
+        return Entry("no runs", kind="none")
+    interval = f"{percent(line['low'])} to {percent(line['high'])}"
+    return Entry(f"{line['lost']} of {line['runs']}", f"{line['note']}; {interval}" if line["note"] else interval,
+                 line["value"], "bad" if line["lost"] else "")
 
 
 def _latency(cell: CellResults, label: str) -> Entry:
