@@ -93,7 +93,8 @@ def test_ranks_put_the_best_first_those_that_failed_last_and_leave_out_oracles(r
     assert labels[int(np.argmin(ranks.mean))] == "kalman"
     assert ranks.mean[3] == 3.5  # third where it finished, last where it lost every run
     assert over_settings(table[table["scenario"] == "braking-rate"], "f") is None  # one variant
-    metro = over_settings(table.assign(verdict=table["verdict"].where(table["estimator"] != "ekf", "oracle")), "speed")
+    told = table.assign(verdict=table["verdict"].where(table["estimator"] != "ekf", "oracle"))
+    metro = over_settings(told[told["scenario"] == "ningbo-metro"], "speed")
     assert metro is not None and "ekf" not in metro[0]
 
 
@@ -182,8 +183,8 @@ def test_plot_writes_each_format_at_column_width(results: Results, tmp_path: Pat
     plot(str(results.folder), figure="critical-difference", format_=format_, out=str(tmp_path / "out"))
     written = sorted((tmp_path / "out").iterdir())
     assert [path.name for path in written] == [f"critical-difference~{scenario}.{format_}" for scenario in
-                                               sorted(results.scenarios)]
-    assert "3 figures" in capsys.readouterr().out
+                                               ("cbtc-csma", "ningbo-metro")]  # the other has one variant: no blocks
+    assert "2 figures" in capsys.readouterr().out
     data = written[0].read_bytes()
     assert data.startswith(magic)
     if format_ == "png":
