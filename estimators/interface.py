@@ -214,13 +214,17 @@ def flag(estimator: Estimator, failed: Mask, status: Status, reason: str) -> Non
 
 def first_edition(cls: type[Any]) -> str | None:
     """What to write instead where a class has methods of the first edition of this interface; None where it has not."""
-    for name, old, new in (("predict", "portion", "predict(self, u, interval): interval.length in seconds, "
-                            "interval.share of the step's input, interval.depart for a step of one's own counting"),
+    found, wanted = [], []
+    for name, old, new in (("predict", "portion", "predict(self, u, interval), with interval.length in seconds, "
+                            "interval.share of the step's input and interval.depart for a step of one's own counting"),
                            ("predict_run", "portion", "predict_run(self, filter, model, u, interval)"),
-                           ("update", "received", "update(self, measurement): measurement.y, measurement.received, "
-                            "measurement.step")):
+                           ("update", "received", "update(self, measurement), with measurement.y, measurement.received "
+                            "and measurement.step")):
         method = inspect.getattr_static(cls, name, None)
         if inspect.isfunction(method) and old in inspect.signature(method).parameters:
-            return (f"{cls.__name__}.{name}({', '.join(inspect.signature(method).parameters)}) is of railstate's first "
-                    f"edition: write {new}; functions of the model take (x, u, interval) and (x, step)")
-    return None
+            found.append(f"{name}({', '.join(inspect.signature(method).parameters)})")
+            wanted.append(new)
+    if not found:
+        return None
+    return (f"{cls.__name__}: {' and '.join(found)} {'is' if len(found) == 1 else 'are'} of railstate's first edition: "
+            f"write {'; '.join(wanted)}; functions of the model take (x, u, interval) and (x, step)")

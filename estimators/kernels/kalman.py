@@ -259,3 +259,25 @@ def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residua
     for s in range(runs):
         failed[s] |= lost[0]
     return runs if lost[0] else 0
+
+
+@kernel
+def in_turn(spread, received, innovation, variance):
+    """innovation (ny, S), 0 where not received, and variance (ny, S) := each received element's after those before it.
+
+    spread (ny, ny, 1): the covariance of all elements' innovations."""
+    ny, runs = innovation.shape
+    masked, factor, inverse = np.empty((ny, ny, runs)), np.empty((ny, ny, runs)), np.empty((ny, runs))
+    column, failed = np.empty((ny, 1, runs)), np.zeros(runs, np.bool_)
+    for i in range(ny):
+        for s in range(runs):
+            column[i, 0, s] = innovation[i, s]
+        for j in range(ny):
+            for s in range(runs):
+                masked[i, j, s] = spread[i, j, 0] if received[i, s] and received[j, s] else (1.0 if i == j else 0.0)
+    factorise(masked, factor, inverse, failed, True, runs)
+    forward(factor, inverse, column, runs)
+    for i in range(ny):
+        for s in range(runs):
+            innovation[i, s] = column[i, 0, s] / inverse[i, s]
+            variance[i, s] = 1.0 / (inverse[i, s] * inverse[i, s])

@@ -39,6 +39,7 @@ class Covariance:
     def __init__(self, linear: Linear, reception: Reception, P: Array) -> None:
         self.linear, self.reception, self.P = linear, reception, P
         self._predicted: dict[int, Covariance] = {}
+        self._spread: dict[int, Array] = {}
         self._updated: dict[int, tuple[Array, Covariance]] = {}
 
     def predicted(self, k: int) -> Covariance:
@@ -54,6 +55,13 @@ class Covariance:
             K, P = updated_covariance(self.linear, self.reception, self.P, k)
             self._updated[k] = K, Covariance(self.linear, self.reception, P)
         return self._updated[k]
+
+    def spread(self, k: int) -> Array:
+        """C P C' + R of the innovations of step k, (ny, ny, 1)."""
+        if k not in self._spread:
+            C = self.linear.C(k)
+            self._spread[k] = np.ascontiguousarray((C @ self.P @ C.T + self.linear.R(k))[:, :, None])
+        return self._spread[k]
 
     @classmethod
     def initial(cls, model: DesignModel) -> Covariance:

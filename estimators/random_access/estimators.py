@@ -16,6 +16,7 @@ from ...scenarios.model import DesignModel, product, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import Kalman
+from ..kernels.kalman import in_turn
 from .bounds import M_MAX, SIGMA_MAX, CovarianceBounds
 from .covariance import Covariance
 
@@ -113,15 +114,19 @@ class RandomAccessFilter(Estimator):
         self._now = self._now.predicted(interval.depart)
 
     def update(self, measurement: Measurement) -> Innovation | None:
-        """(6): the mean moves by K times the innovation of the elements received."""
+        """(6): the mean moves by K times the innovation of the elements received, whose covariance C P C' + R is, like
+        P, an expectation over the protocol."""
         if not np.isfinite(self._now.P).all():
             flag(self, np.ones(self.runs, dtype=bool), Status.failed, "the covariance grew beyond all bounds")
             return None
         at = measurement.step
         innovation = np.where(measurement.received, measurement.y - self.model.measurement(self._mean, at), 0.0)
+        spread = self._now.spread(at)
         K, self._now = self._now.updated(at)
         self._mean = self._mean + product(K, innovation)
-        return None
+        variance = np.empty_like(innovation)
+        in_turn(spread, measurement.received, innovation, variance)
+        return Innovation(innovation, variance)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._now.P[:, :, None])

@@ -286,6 +286,19 @@ def test_what_a_recording_lacks_leaves_out_what_needs_it(recording):
     assert run(only, "dead-reckoning", 1, "as-recorded")[2].scored.metrics["rmse", "speed"][0] > 0.5
 
 
+@pytest.mark.parametrize("motion", ["odometer", "acceleration"])
+def test_parts_of_a_step_count_its_distance_once(recording, motion):
+    model = setting(recording).design_model({"motion": motion}, np.zeros((5, 2)))
+    x, u = np.full((model.nx, 2), 0.5), np.array([[10.0, 10.0], [9.0, 9.0]])
+    whole = model.transition(x, u, Interval(1, 0.0, 1.0))
+    share = np.array([0.3, 1.0])
+    half = model.transition(x, u, Interval(1, 0.0, share, share))
+    found = model.transition(half, u, Interval(1, share, 1 - share, 1 - share))
+    assert np.allclose(found, whole, rtol=1e-12) and np.array_equal(half[:, 1], found[:, 1])
+    if motion == "odometer":
+        assert np.allclose(found[0], 10.5)
+
+
 def test_a_reading_that_is_its_own_reference_gives_no_errors_but_what_innovations_say(recording):
     """Errors against it are those of the filter's own input; in an outage it is withheld, and tells."""
     scenario = load("recorded", {"plant.recording": recording, "plant.map": {"time": "t_s", "position": "gnss_m"}})
