@@ -51,6 +51,9 @@ def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
             if part in (table.get("kind"), table.get("form")) and part not in table:
                 continue
             table = table.get(part)
+        elif isinstance(table, list) and isinstance(part, int) and isinstance(table[part], dict):
+            table = table[part]
+            part = table.get("name", table.get("kind", part))
         elif table is not None and isinstance(part, str):
             continue
         else:
@@ -67,7 +70,8 @@ def _allowed(model: type[BaseModel], loc: tuple[int | str, ...]) -> str:
         chosen = [table for table in tables if part in (
             table.__name__, *(kind for key in ("kind", "form") for kind in _kinds(table.model_fields.get(key))))]
         tables = inside or chosen or tables
-    return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields)) or "none"
+    return ", ".join(dict.fromkeys(field.alias or key for table in tables
+                                   for key, field in table.model_fields.items())) or "none"
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:

@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from .errors import InputError, describe
+from .faults import KINDS
+from .faults import Base as Fault
 from .registry import scenario_files, setting_for, settings
 from .requirements import check
 from .schema import LABEL
@@ -24,7 +26,7 @@ from .setting import Setting
 
 MISSING = object()
 VARIANT_KEYS = {"title", "default", "notes", "origin", "fitted", "time", "plant", "disturbance", "sensors", "channel",
-                "knowledge", "score", "requirements", "estimators"}
+                "faults", "knowledge", "score", "requirements", "estimators"}
 
 
 DISPLAY = {"name", "title", "source", "notes", "origin", "fitted", "default", "estimators"}
@@ -159,7 +161,8 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
     except ValidationError as error:
         return describe(error, kind.Config, table=table)
     known = [item.name for item in setting.quantities()]
-    mistakes = [f"score.divergence.{name}: no such quantity; allowed: {', '.join(known)}"
+    mistakes = _unfit_faults(setting)
+    mistakes += [f"score.divergence.{name}: no such quantity; allowed: {', '.join(known)}"
                 for name in setting.config.score.divergence if name not in known]
     single = [item.name for item in setting.quantities() if len(item.components) == 1]
     mistakes += check(setting.config.requirements, single, setting.references)
@@ -169,6 +172,30 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
         except ValidationError as error:
             mistakes += describe(error, type(setting.config.knowledge), f"estimators.{label}.knowledge")
     return mistakes
+
+
+def _unfit_faults(setting: Setting[Any]) -> list[str]:
+    """The mistakes of [[faults]] entries that do not fit their setting."""
+    if not setting.config.faults or (setting.needs_file and not _file_given(setting)):
+        return []
+    sensing = setting.sensing()
+    if sensing is None:
+        return ["faults: this setting does not say what its sensors are, and takes none"]
+    mistakes = []
+    for fault in setting.config.faults:
+        assert isinstance(fault, Fault)
+        try:
+            fault.check(sensing, setting.following)
+        except ValueError as error:
+            mistakes.append(f"faults.{fault.label}: {error}")
+    return mistakes
+
+
+def _file_given(setting: Setting[Any]) -> bool:
+    found: Any = setting.config
+    for part in setting.needs_file.split("."):
+        found = getattr(found, part)
+    return found is not None
 
 
 def _strays(variants: Collection[dict[str, Any]], where: str, touched: Collection[str]) -> list[str]:
@@ -184,6 +211,8 @@ def _names_a_key(path: str, config: Any) -> bool:
     for part in path.split("."):
         if isinstance(config, BaseModel):
             config = getattr(config, part, MISSING)
+        elif isinstance(config, tuple):
+            config = next((entry for entry in config if getattr(entry, "label", None) == part), MISSING)
         else:
             config = config.get(part, MISSING) if isinstance(config, dict) else MISSING
         if config is MISSING:
@@ -202,11 +231,18 @@ def _located(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` on top, tables merged key by key; a table whose `kind` changes is replaced whole."""
+    """`base` with `changes` on top, tables merged key by key; a table whose `kind` changes is replaced whole. A table
+    `faults` changes the entries of [[faults]] by their names or kinds."""
     out = dict(base)
     for key, value in changes.items():
         old = out.get(key)
-        if isinstance(old, dict) and isinstance(value, dict) and value.get("kind", old.get("kind")) == old.get("kind"):
+        if key == "faults" and isinstance(value, dict):
+            entries = old if isinstance(old, list) else []
+            for label, inner in value.items():
+                entries = with_entry(entries, label, lambda entry, inner=inner: merge(entry, inner))
+            out[key] = entries
+        elif (isinstance(old, dict) and isinstance(value, dict)
+              and value.get("kind", old.get("kind")) == old.get("kind")):
             out[key] = merge(old, value)
         else:
             out[key] = value
@@ -220,9 +256,32 @@ def set_dotted(table: dict[str, Any], key: str, value: Any, above: str = "") -> 
     if not rest:
         return {"kind": value} if head == "kind" and table.get("kind", value) != value else {**table, head: value}
     inner = table.get(head, {})
+    if head == "faults" and not above:
+        label, _, rest = rest.partition(".")
+        if not rest:
+            raise InputError(f"--set {key}: names no key of a fault, such as faults.outliers.share")
+        entries = inner if isinstance(inner, list) else []
+        return {**table, head: with_entry(entries, label,
+                                          lambda entry: set_dotted(entry, rest, value, f"faults.{label}."))}
     if not isinstance(inner, dict):
         raise InputError(f"--set {above}{key}: {above}{head} is not a table")
     return {**table, head: set_dotted(inner, rest, value, f"{above}{head}.")}
+
+
+def with_entry(entries: list[dict[str, Any]], label: str,
+               change: Callable[[dict[str, Any]], dict[str, Any]]) -> list[dict[str, Any]]:
+    """The [[faults]] with the one of this name or kind changed; a kind that is not among them yet is appended. Raises
+    InputError where two entries are meant, or none."""
+    meant = [i for i, entry in enumerate(entries) if label == entry.get("name", entry.get("kind"))]
+    if len(meant) > 1:
+        raise InputError(f"faults.{label}: two entries are called so: give each a name of its own")
+    if not meant and label not in KINDS:
+        known = [str(entry.get("name", entry.get("kind"))) for entry in entries]
+        raise InputError(f"faults.{label}: no such entry and no such kind; allowed: "
+                         f"{', '.join(dict.fromkeys([*known, *KINDS]))}")
+    place = meant[0] if meant else len(entries)
+    changed = change(entries[place] if meant else {"kind": label})
+    return [*entries[:place], changed, *entries[place + 1:]]
 
 
 def _without_repeats(mistakes: list[str]) -> list[str]:

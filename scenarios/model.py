@@ -114,13 +114,15 @@ class Reception:
 
     p_low <= Prob(received) <= p_high; `variance` bounds Prob (1 - Prob) where that is known better than from the
     interval (p-persistent CSMA). `nodes[i]` lists the measurement indices of node i, `p[i]` its probability of
-    being the one that transmits (random access)."""
+    being the one that transmits (random access). `breaks`: why no guarantee or covariance that takes readings as they
+    come holds over this channel; empty where it does."""
 
     p_low: float = 1.0
     p_high: float = 1.0
     nodes: tuple[tuple[int, ...], ...] = ()
     p: tuple[float, ...] = ()
     variance: float | None = None
+    breaks: str = ""
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ class ScenarioConfig(Strict):
     disturbance: Strict = Empty()
     sensors: Strict = Empty()
     channel: Strict = Empty()
+    faults: tuple[Strict, ...] = ()
     knowledge: Strict = Empty()
     score: Score = Score()
     requirements: list[Requirement] = []

@@ -13,7 +13,7 @@ from .arrays import Array
 from .model import DesignModel
 from .randomness import Streams
 from .schema import ScenarioConfig
-from .world import World
+from .world import Sensing, World
 
 ConfigT = TypeVar("ConfigT", bound=ScenarioConfig)
 
@@ -45,14 +45,16 @@ class Setting(ABC, Generic[ConfigT]):
     kind: the value of `plant.kind` that selects it. Config: its schema. files: its scenario files, beside its module.
     user_files: keys of [plant] that may hold the path of a file of the user's (from the scenario file's own folder on),
     whose content then belongs to the scenario's. needs_file: the dotted key of such a file without which nothing can
-    run. shown: (unit, factor) in which tables print outcomes that are no scored quantity, by name. references: whether
-    its worlds tell of places known on the way (`Step.reference`)."""
+    run. following: whether readings follow from each other beforehand (False: a closed loop makes them as it goes).
+    shown: (unit, factor) in which tables print outcomes that are no scored quantity, by name. references: whether its
+    worlds tell of places known on the way (`Step.reference`)."""
 
     kind: ClassVar[str]
     Config: ClassVar[type[ScenarioConfig]]
     files: ClassVar[tuple[str, ...]] = ()
     user_files: ClassVar[tuple[str, ...]] = ()
     needs_file: ClassVar[str] = ""
+    following: ClassVar[bool] = True
     shown: ClassVar[dict[str, tuple[str, float]]] = {}
     references: ClassVar[bool] = False
 
@@ -87,6 +89,11 @@ class Setting(ABC, Generic[ConfigT]):
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """What an estimator is told. `knowledge` overrides the scenario's [knowledge] for this estimator (already
         validated by `resolve_knowledge`); initial_mean (nx, S) as the world hands it out."""
+
+    def sensing(self) -> Sensing | None:
+        """The sensors, for faults and for channels that look at the readings; None where the setting takes no
+        faults."""
+        return None
 
     def table(self) -> tuple[tuple[str, str], ...]:
         """(metric, quantity) pairs that the printed tables show; `summary.csv` has all."""

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array, Mask
+from .arrays import Array, Index, Mask
 from .errors import InputError
 from .measurement import PerRun
 
@@ -22,12 +22,16 @@ class Event:
 
     share: of the step, since the event before; a number or one per run (S,). The number 0.0 means no prediction at all.
     y (ny, S); received (ny, S): which elements arrived (elements that did not are never read). covariance (ny, ny, S or
-    1): as `Measurement` has it."""
+    1): as `Measurement` has it. late (ny, S): by how many steps an element that is not received yet comes late, 0:
+    never; None: none is late. faulty (ny, S): elements that a sensor's fault has made wrong, for scores alone; None: no
+    faults."""
 
     share: PerRun
     y: Array
     received: Mask
     covariance: Array | None = None
+    late: Index | None = None
+    faulty: Mask | None = None
 
 
 FIRST_EDITION = -1
@@ -89,6 +93,31 @@ class World(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Sensing:
+    """What a setting's sensors are, for faults and channels that look at the readings.
+
+    names (ny,) of the measurement elements; sd (ny,) or (K, ny): standard deviations of their noise, in the reading's
+    own unit. place: by how much one metre further along the line moves the truth (nt,) and the readings (ny,); None
+    where no such thing is meant."""
+
+    names: tuple[str, ...]
+    sd: Array
+    place: tuple[Array, Array] | None = None
+
+    def chosen(self, wanted: tuple[str, ...]) -> list[int]:
+        """The elements meant by names, or by their first words (`position` of `position 1`); all where none is wanted.
+        Raises ValueError naming those there are."""
+        unknown = [name for name in wanted if not any(_means(name, mine) for mine in self.names)]
+        if unknown:
+            raise ValueError(f"there is no sensor {', '.join(unknown)}; allowed: {', '.join(self.names)}")
+        return [i for i, mine in enumerate(self.names) if not wanted or any(_means(name, mine) for name in wanted)]
+
+
+def _means(name: str, sensor: str) -> bool:
+    return name == sensor or name == sensor.split(" ")[0]
+
+
 def step_times(world: World) -> Array:
     """Time of each scored instant since the first one, s, (K,)."""
     return np.cumsum(world.lengths) - world.lengths[0]
@@ -103,7 +132,7 @@ class Trajectory:
     initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form.
     windows: names of parts of the trip whose errors are reported on their own; window (K, S): which part a step is in,
     -1 for none. covariance (K, ny, ny, S or 1): what the sensors tell of each measurement, NaN where they do not.
-    Raises InputError without lengths."""
+    late, faulty (K, ny, S): as in `Event`. Raises InputError without lengths."""
 
     truth: Array
     u: Array
@@ -117,6 +146,8 @@ class Trajectory:
     windows: tuple[str, ...] = ()
     window: NDArray[np.int16] | None = None
     covariance: Array | None = None
+    late: Index | None = None
+    faulty: Mask | None = None
     portions: InitVar[object] = None
 
     def __post_init__(self, portions: object) -> None:
@@ -136,7 +167,8 @@ class Trajectory:
     def step(self, k: int, mean: Array) -> Step:
         starts, lengths = self._clock
         covariance = None if self.covariance is None else self.covariance[k]
-        event = Event(1.0 if lengths[k] else 0.0, self.y[k], self.received[k], covariance)
+        event = Event(1.0 if lengths[k] else 0.0, self.y[k], self.received[k], covariance,
+                      None if self.late is None else self.late[k], None if self.faulty is None else self.faulty[k])
         window = None if self.window is None else self.window[k]
         return Step(self.u[k], (event,), self.truth[k], self.active[k], None, window,
                     k + (lengths[0] > 0), starts[k], lengths[k])

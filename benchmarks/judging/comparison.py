@@ -18,7 +18,7 @@ from .table import Cell, Line
 
 UNREPEATABLE = ("seconds", "exception")
 """Columns that may differ between two runs of the same thing: measured time, and tracebacks with their line numbers."""
-TRUTH = ("time", "plant", "disturbance", "sensors", "channel", "score")
+TRUTH = ("time", "plant", "disturbance", "sensors", "channel", "faults", "score")
 """Tables of a scenario that decide the truths and how they are scored; pairs need them to be the same."""
 
 

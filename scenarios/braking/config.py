@@ -10,6 +10,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from ..arrays import Array
 from ..channels import Channel, Ideal
+from ..faults import Faults
 from ..schema import ScenarioConfig, Strict
 
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -110,6 +111,7 @@ class BrakingConfig(ScenarioConfig):
     disturbance: Disturbance  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
     sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
     channel: Channel = Ideal()  # pyright: ignore[reportIncompatibleVariableOverride]
+    faults: Faults = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")

@@ -11,9 +11,10 @@ import numpy as np
 
 from ..arrays import Array
 from ..model import DesignModel
+from ..observation import observe
 from ..randomness import Streams
 from ..setting import Quantity, Setting
-from ..world import Trajectory
+from ..world import Sensing, Trajectory
 from .config import BrakingConfig
 from .plant import discretise
 from .told import Told, Walk, augmented_model, grid_model, scheduled_model
@@ -68,11 +69,18 @@ class Braking(Setting[BrakingConfig]):
             truth[k, :4], truth[k, 4] = x, self.rates[k]
         rows = config.sensors.rows()
         y = streams("measurement").normal(steps, len(rows))
+        clean = truth[:, [state for _, state, _ in rows]]
         for row, (_, state, variance) in enumerate(rows):
             y[:, row] = truth[:, state] + np.sqrt(variance) * y[:, row]
-        received = config.channel.draw(streams("channel"), steps, len(rows))
         u = np.repeat(self.targets[:, None, None], runs, axis=2)
-        return Trajectory(truth, u, y, received, active, np.full(steps, period), start)
+        trajectory = Trajectory(truth, u, y, np.ones(y.shape, dtype=bool), active, np.full(steps, period), start)
+        return observe(trajectory, streams, self.sensing(), config.channel, config.faults, clean)
+
+    def sensing(self) -> Sensing:
+        rows = self.config.sensors.rows()
+        along = np.array([float(state == 0) for _, state, _ in rows])
+        return Sensing(tuple(name for name, *_ in rows), np.sqrt([variance for *_, variance in rows]),
+                       (np.array([1.0, 0, 0, 0, 0]), along))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """Four states with modes over the grid of f, or five with f appended, as `knowledge.model` says."""

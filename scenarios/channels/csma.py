@@ -59,7 +59,7 @@ class Csma(Base):
         arrived = random.uniform(0.0, 1.0, steps) < self.p * (1 - self.p) ** (trains - 1)
         return np.repeat(arrived[:, None, :], ny, axis=1)
 
-    def reception(self) -> Reception:
+    def transmitted(self) -> Reception:
         low, high = self.range
         least, most = self.p * (1 - self.p) ** (high - 1), self.p * (1 - self.p) ** (low - 1)
         return Reception(least, most, variance=most * (1 - most))  # for whole N it is greatest at the least N

@@ -21,7 +21,7 @@ class Ideal(Base):
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         return np.ones((steps, ny, len(random.runs)), dtype=bool)
 
-    def reception(self) -> Reception:
+    def transmitted(self) -> Reception:
         return Reception()
 
 
@@ -35,5 +35,5 @@ class Bernoulli(Base):
         arrived = random.uniform(0.0, 1.0, steps) < self.p
         return np.repeat(arrived[:, None, :], ny, axis=1)
 
-    def reception(self) -> Reception:
+    def transmitted(self) -> Reception:
         return Reception(self.p, self.p)

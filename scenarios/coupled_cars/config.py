@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from ..arrays import Array
-from ..channels import Channel, RandomAccess
+from ..channels import Channel, Delay, OneAtATime, RandomAccess
+from ..faults import Faults
 from ..schema import ScenarioConfig, Strict
 
 
@@ -113,6 +114,18 @@ class CarAccess(Strict):
 AnyChannel = Annotated[Channel | CarAccess, Field(discriminator="kind")]
 
 
+def of_cars(channel: AnyChannel, cars: int) -> Channel:
+    """The channel as it is for a train of that many cars: each car is a node where no nodes are given."""
+    if isinstance(channel, CarAccess):
+        return channel.of(cars)
+    nodes = {"nodes": [[i, cars + i] for i in range(cars)]}
+    if isinstance(channel, OneAtATime) and not channel.nodes:
+        return channel.model_copy(update=nodes)
+    if isinstance(channel, Delay) and isinstance(channel.loss, OneAtATime) and not channel.loss.nodes:
+        return channel.model_copy(update={"loss": channel.loss.model_copy(update=nodes)})
+    return channel
+
+
 class Knowledge(Strict):
     """What the estimators are told.
 
@@ -172,12 +185,12 @@ class CoupledCarsConfig(ScenarioConfig):
     disturbance: Disturbance
     sensors: Sensors
     channel: AnyChannel
+    faults: Faults = ()
     knowledge: Knowledge
     performance: Performance
     headway: Headway
 
     @model_validator(mode="after")
     def _nodes_fit(self) -> CoupledCarsConfig:
-        if not isinstance(self.channel, CarAccess):
-            self.channel.check(2 * self.plant.cars)
+        of_cars(self.channel, self.plant.cars).check(2 * self.plant.cars)
         return self

@@ -12,10 +12,11 @@ import numpy as np
 from ..arrays import Array
 from ..channels import Csma
 from ..model import Bounds, DesignModel, Linear, Reception, linear_model, product
+from ..observation import observe
 from ..randomness import Streams
 from ..setting import Outcome, Quantity, Setting
-from ..world import Trajectory
-from .config import CarAccess, CoupledCarsConfig, Knowledge, headway_name
+from ..world import Sensing, Trajectory
+from .config import CoupledCarsConfig, Knowledge, headway_name, of_cars
 from .plant import Matrices, largest_force, matrices, simulate
 
 
@@ -63,21 +64,30 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         simulate(plant.A, plant.B, plant.E, plant.h, force, self.config.plant.mass, c0, c1, c2, disturbance.ramp,
                  disturbance.ramp_length, phase, truth)
         y = streams("measurement").normal(steps, 2 * n)
+        clean = truth * np.repeat([sensors.position_weight, sensors.speed_weight], n)[:, None]
         for rows, weight, noise in ((slice(0, n), sensors.position_weight, sensors.position_noise),
                                     (slice(n, None), sensors.speed_weight, sensors.speed_noise)):
             y[:, rows] *= noise
             y[:, rows] += weight * truth[:, rows]
-        received = self._channel().draw(streams("channel"), steps, 2 * n)
-        return Trajectory(
+        trajectory = Trajectory(
             truth=truth,
             u=np.repeat(force[:, :, None], runs, axis=2),
             y=y,
-            received=received,
+            received=np.ones(y.shape, dtype=bool),
             active=np.ones((steps, runs), dtype=bool),
             lengths=np.concatenate([[0.0], np.full(steps - 1, self.config.time.period)]),
             initial_mean=truth[0].copy(),
-            extra={"received": received.any(axis=1).astype(float)},
         )
+        heard = observe(trajectory, streams, self.sensing(), self._channel(), self.config.faults, clean)
+        heard.extra["received"] = heard.received.any(axis=1).astype(float)
+        return heard
+
+    def sensing(self) -> Sensing:
+        n, sensors = self.cars, self.config.sensors
+        names = [f"{what} {i + 1}" for what in ("position", "speed") for i in range(n)]
+        ahead = np.repeat([1.0, 0.0], n)
+        return Sensing(tuple(names), np.repeat([sensors.position_noise, sensors.speed_noise], n),
+                       (ahead, sensors.position_weight * ahead))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """Linear; E f as a bounded force for bounds, as white noise of a share of the bound for covariances."""
@@ -139,8 +149,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         return np.array([*(spacing * (plant.cars - 1 - i) for i in range(plant.cars)), *[0.0] * plant.cars])
 
     def _channel(self) -> Any:
-        channel = self.config.channel
-        return channel.of(self.cars) if isinstance(channel, CarAccess) else channel
+        return of_cars(self.config.channel, self.cars)
 
     def _reception(self, told: Knowledge) -> Reception:
         channel = self._channel()

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..channels import Channel, Ideal, RandomAccess
+from ..faults import Faults
 from ..schema import Probability, ScenarioConfig, Strict
 from .matrices import Matrix, at_step, listed, shape, varies
 
@@ -52,6 +53,7 @@ class LinearConfig(ScenarioConfig):
 
     plant: Plant  # pyright: ignore[reportIncompatibleVariableOverride]
     channel: Channel = Ideal()  # pyright: ignore[reportIncompatibleVariableOverride]
+    faults: Faults = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     knowledge: Knowledge = Knowledge()  # pyright: ignore[reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from ..channels import RandomAccess
+from ..channels import OneAtATime, RandomAccess
 from ..model import DesignModel, Linear, linear_model, product
+from ..observation import observe
 from ..randomness import Streams
 from ..setting import Quantity, Setting
-from ..world import Trajectory
+from ..world import Sensing, Trajectory
 from .config import Knowledge, LinearConfig
 from .matrices import at_step, listed, remembered, shape, varies
 
@@ -41,7 +42,7 @@ class LinearSystem(Setting[LinearConfig]):
         drive = remembered(lambda k: B(k) @ _root(Q(k)), varies(plant.B) or varies(plant.Q))
         noise = remembered(lambda k: _root(R(k)), varies(plant.R))
         shift = int(plant.index == "arrival")
-        truth, y = np.empty((steps, nx, runs)), np.empty((steps, ny, runs))
+        truth, clean, y = np.empty((steps, nx, runs)), np.empty((steps, ny, runs)), np.empty((steps, ny, runs))
         motion = streams("truth")
         initial_mean = np.repeat(np.array(plant.x0)[:, None], runs, axis=1)
         x = initial_mean + product(_root(at_step(plant.P0)(0)), motion.normal(nx))
@@ -49,14 +50,23 @@ class LinearSystem(Setting[LinearConfig]):
         for k in range(steps):
             x = product(A(k + shift), x) + product(drive(k + shift), w[k])
             truth[k] = x
-            y[k] = product(C(k + 1), x) + product(noise(k + 1), v[k])
-        received = self.config.channel.draw(streams("channel"), steps, ny)
-        extra: dict[str, Array] = {}
-        if isinstance(self.config.channel, RandomAccess):
-            sensor = [node[0] for node in self.config.channel.nodes]
-            extra["node"] = np.argmax(received[:, sensor, :], axis=1).astype(float)
-        return Trajectory(truth, np.zeros((steps, 0, runs)), y, received, np.ones((steps, runs), dtype=bool),
-                          np.full(steps, self.config.time.period), initial_mean, extra)
+            clean[k] = product(C(k + 1), x)
+            y[k] = clean[k] + product(noise(k + 1), v[k])
+        channel = self.config.channel
+        trajectory = Trajectory(truth, np.zeros((steps, 0, runs)), y, np.ones(y.shape, dtype=bool),
+                                np.ones((steps, runs), dtype=bool), np.full(steps, self.config.time.period),
+                                initial_mean)
+        heard = observe(trajectory, streams, self.sensing(), channel, self.config.faults, clean)
+        if isinstance(channel, OneAtATime) and channel.silent == "nothing":
+            sensor = [node[0] for node in channel.groups(ny)]
+            heard.extra["node"] = np.argmax(heard.received[:, sensor, :], axis=1).astype(float)
+        return heard
+
+    def sensing(self) -> Sensing:
+        plant, steps = self.config.plant, self.config.time.steps
+        R = at_step(plant.R)
+        sd = np.array([np.sqrt(np.diag(R(k + 1))) for k in range(steps if varies(plant.R) else 1)])
+        return Sensing(tuple(f"y{i + 1}" for i in range(sd.shape[1])), sd if varies(plant.R) else sd[0])
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """The plant with what [knowledge] says otherwise, its process noise B Q B'."""

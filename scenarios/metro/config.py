@@ -10,6 +10,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from ..arrays import Array
 from ..channels import Channel, Ideal
+from ..faults import Faults
 from ..railway.line import LineOrFile, Train, TrainOrFile
 from ..railway.trip import Controller, check_trip
 from ..schema import ScenarioConfig, Strict
@@ -87,6 +88,7 @@ class MetroConfig(ScenarioConfig):
     disturbance: Disturbance  # pyright: ignore[reportGeneralTypeIssues]
     sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
     channel: Channel = Ideal()
+    faults: Faults = ()
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")

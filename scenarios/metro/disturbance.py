@@ -104,6 +104,16 @@ class Sensors(Strict):
     share: Annotated[float, Field(ge=0, le=1)]
     period: Range
 
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of the noise that is fresh each step (2,); a bias's sine counts as noise."""
+        bar = np.array(self.v_bar)
+        if self.noise == "gaussian":
+            return bar / 3
+        if self.noise == "uniform":
+            return bar / 3**0.5
+        return bar * (self.share**2 / 2 + (1 - self.share) ** 2 / 3) ** 0.5
+
     def draw(self, random: RunRandom, steps: int, period: float) -> Array:
         """The measurement noise (steps, 2, S)."""
         bar = np.array(self.v_bar)[None, :, None]

@@ -17,12 +17,13 @@ from ..errors import InputError
 from ..measurement import Interval
 from ..measurement import told as told_covariance
 from ..model import Bounds, DesignModel
+from ..observation import observe
 from ..railway import dynamics as compiled
 from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
 from ..schema import ScenarioConfig
 from ..setting import Outcome, Quantity, Setting
-from ..world import Trajectory, World
+from ..world import Sensing, Trajectory, World
 from .config import Knowledge, MetroConfig
 from .disturbance import UNTOUCHED
 
@@ -90,13 +91,19 @@ class Metro(Setting[MetroConfig]):
         w = config.disturbance.draw(random, steps, period)
         trip = self._simulate(w, factors, config.disturbance.form == "physical")
         y = trip.state + config.sensors.draw(sensed, steps, period)
+        there = np.ones(y.shape, dtype=bool)
         position = trip.state[:, 0]
-        return Trajectory(
-            truth=trip.state, u=trip.u, y=y, received=config.channel.draw(streams("channel"), steps, 2),
+        trajectory = Trajectory(
+            truth=trip.state, u=trip.u, y=y, received=there,
             active=trip.active, lengths=np.full(steps, period), initial_mean=np.array(self.start)[:, None] + error,
             windows=self.sections, window=trip.section if self.sections else None,
             extra={"disturbance": trip.w, "reference-speed": trip.reference,
                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
+        return observe(trajectory, streams, self.sensing(), config.channel, config.faults, trip.state)
+
+    def sensing(self) -> Sensing:
+        along = np.array([1.0, 0.0])
+        return Sensing(("position", "speed"), self.config.sensors.sd, (along, along))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """The plant without its disturbance; for bounds the linearisation error of M = [T/2, 1]', N = [0, kappa]."""

@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, model_validator
 
-from ..channels import Channel, Ideal
+from ..channels import Channel, Delay, Ideal, TryOnceDiscard
+from ..faults import Faults
 from ..schema import ScenarioConfig, Strict
 from .track import StadiumTrack
 
@@ -138,11 +139,16 @@ class MovingBlockConfig(ScenarioConfig):
     plant: Plant
     sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
     channel: Channel = Ideal()
+    faults: Faults = ()
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
     def _consistent(self) -> MovingBlockConfig:
         self.channel.check(4)
+        links = (self.channel, self.channel.loss) if isinstance(self.channel, Delay) else (self.channel,)
+        if any(isinstance(link, TryOnceDiscard) or link.silent == "hold" for link in links):
+            raise ValueError("channel: try-once-discard and silent = \"hold\" want a reading a step, and a train reads "
+                             "a tag now and then; allowed: the other kinds, with silent = \"nothing\"")
         track, tags = self.plant.track, self.sensors.tags.count
         spacing = StadiumTrack(track.straight, track.radius).length / tags
         farthest = self.plant.trains.top_speed * self.time.period

@@ -15,7 +15,7 @@ from ..measurement import told as told_covariance
 from ..model import DesignModel
 from ..randomness import Streams
 from ..setting import Outcome, Quantity, Setting
-from ..world import World
+from ..world import Sensing, World
 from .config import Knowledge, MovingBlockConfig
 from .track import StadiumTrack, travelled
 from .trains import TwoTrains
@@ -30,6 +30,7 @@ class MovingBlock(Setting[MovingBlockConfig]):
     kind: ClassVar[str] = "moving-block"
     Config = MovingBlockConfig
     files: ClassVar[tuple[str, ...]] = ("moving-block.toml",)
+    following: ClassVar[bool] = False
     shown: ClassVar[dict[str, tuple[str, float]]] = {"gap": ("cm", 100.0)}
 
     def __init__(self, config: MovingBlockConfig) -> None:
@@ -47,7 +48,10 @@ class MovingBlock(Setting[MovingBlockConfig]):
                 ("violations", "gap"), ("mean", "lap"), ("nees", "state"))
 
     def world(self, streams: Streams) -> World:
-        return TwoTrains(self.config, self.track, streams)
+        return TwoTrains(self.config, self.track, streams, self.sensing())
+
+    def sensing(self) -> Sensing:
+        return Sensing(("x-a", "y-a", "x-b", "y-b"), np.full(4, max(self.config.sensors.tags.sd, 1e-3)))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """Eq. (30) with the heading at the midpoint; process noise per metre travelled, tags' noise isotropic (m^2)."""

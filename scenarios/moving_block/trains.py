@@ -10,9 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ..arrays import Array, Index, Mask
+from ..arrays import Array, Index
+from ..channels import Sent
+from ..observation import faulted
 from ..randomness import Streams
-from ..world import Event, Step
+from ..world import Event, Sensing, Step
 from .config import FixedBlockSignalling, MovingBlockConfig
 from .control import Control, authority_end, follow_acceleration, next_speed
 from .track import StadiumTrack, place, project
@@ -146,7 +148,7 @@ class TwoTrains:
 
     closed_loop = True
 
-    def __init__(self, config: MovingBlockConfig, track: StadiumTrack, streams: Streams) -> None:
+    def __init__(self, config: MovingBlockConfig, track: StadiumTrack, streams: Streams, sensing: Sensing) -> None:
         plant, sensors = config.plant, config.sensors
         trains, signalling, rules = plant.trains, plant.signalling, plant.control
         self.steps, self.period = config.time.steps, config.time.period
@@ -176,7 +178,12 @@ class TwoTrains:
         self.crossings = self.crossings[:, :, None] + sensors.tags.sd * measurement.normal(2, passes)
         # A train whose run has gone wrong may go on for ever: beyond the last tag there is none.
         self.crossings = np.concatenate([self.crossings, np.full((2, 1, runs), np.inf)], axis=1)
-        self.heard = config.channel.draw(streams("channel"), self.steps, 4)
+        shape = (self.steps, 4, runs)
+        readings = faulted(np.zeros(shape), np.ones(shape, dtype=bool), np.arange(1.0, self.steps + 1) * self.period,
+                           streams, sensing, config.faults, following=False)
+        arrived = config.channel.carry(streams, Sent(readings.y, readings.there, sensing.sd))
+        self.heard, self.late = arrived.received, arrived.late
+        self.off, self.faulty = readings.y, readings.faulty if config.faults else None
         self.read = measurement.uniform(0.0, 1.0, 2, passes) >= sensors.tags.missed
         noise_sd = sensors.encoder.noise_sd * math.sqrt(sensors.encoder.noise_period / self.period)
         self.factor = 1 + bias + noise_sd * measurement.normal(self.steps, 2)
@@ -245,11 +252,11 @@ class TwoTrains:
         self._along[k, :3] = np.where(self.active, np.stack([memory.s[0], memory.s[1], gap]), np.nan)
         self._map[k, :4] = np.where(self.active, truth, np.nan)
         self._truth, self._under_way = truth, np.repeat(np.isnan(self.lap_times), 2, axis=0)
-        return Step(u, self._events(share, tag, self.heard[k]), truth, self.active.copy(), self._under_way,
+        return Step(u, self._events(share, tag, k), truth, self.active.copy(), self._under_way,
                     number=k + 1, start=k * self.period, length=self.period)
 
-    def _events(self, share: Array, tag: Index, heard: Mask) -> tuple[Event, ...]:
-        """Up to two readings, as far as they are heard (4, S), and the rest of the step.
+    def _events(self, share: Array, tag: Index, k: int) -> tuple[Event, ...]:
+        """Up to two readings, as far as they are heard, and the rest of the step.
 
         A run without a (second) reading goes through it with what is left of its step first and shares of exactly
         zero after, which change nothing."""
@@ -271,7 +278,10 @@ class TwoTrains:
                 received[2 * train:2 * train + 2] = here
                 y[2 * train] = np.where(here, self.tag_x[train, tag[train]], 0.0)
                 y[2 * train + 1] = np.where(here, self.tag_y[train, tag[train]], 0.0)
-            events.append(Event(until - gone, y, received & heard))
+            late = None if self.late is None else np.where(received, self.late[k], 0)
+            wrong = None if self.faulty is None else received & self.faulty[k]
+            y = y + self.off[k] if wrong is not None else y
+            events.append(Event(until - gone, y, received & self.heard[k], late, wrong))
             gone = until
         events.append(Event(1.0 - gone, np.zeros((4, runs)), nothing))
         return tuple(events)

@@ -9,6 +9,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from ..arrays import Array
 from ..channels import Channel, Ideal
+from ..faults import Faults
 from ..railway.line import LineOrFile, TrainOrFile
 from ..schema import ScenarioConfig, Strict
 from .readers.table import Recording, read_recording
@@ -78,6 +79,7 @@ class RecordedConfig(ScenarioConfig):
     plant: Plant
     sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
     channel: Channel = Ideal()
+    faults: Faults = ()
     knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")

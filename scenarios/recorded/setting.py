@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..channels import Sent
 from ..errors import InputError, Unsupported
 from ..model import DesignModel
+from ..observation import faulted
 from ..randomness import RunRandom, Streams
 from ..schema import ScenarioConfig
 from ..setting import Outcome, Quantity, Setting
-from ..world import Trajectory, World
+from ..world import Sensing, Trajectory, World
 from .config import RecordedConfig
 from .readers.table import Recording, read_recording
 from .told import Drive, Kinematics, Knowledge
@@ -103,29 +105,44 @@ class Recorded(Setting[RecordedConfig]):
         steps, random = len(lengths), streams("measurement")
         readings = {name: self._reading(name, random, steps) for name in recording.measured}
         out = self._outage(streams, steps)
-        arrived = self.config.channel.draw(streams("channel"), steps, len(self.sensors))
-        kept = dict(zip(self.sensors, arrived.transpose(1, 0, 2), strict=True))
-        for name, values in readings.items():
-            there = np.isfinite(values[1:]) & kept.get(name, True)
-            kept[name] = there & ~out if name in self.config.sensors.outage.sensors else there
-        y = np.stack([readings[name][1:] for name in self.sensors], axis=1)
-        received = np.stack([kept[name] for name in self.sensors], axis=1)
+        kept = {name: np.isfinite(values[1:]) for name, values in readings.items()}
+        for name in set(self.config.sensors.outage.sensors) & set(kept):
+            kept[name] &= ~out
+        truth = np.repeat(self._truth(steps)[:, :, None], runs, axis=2)
+        sensed = faulted(
+            np.stack([np.nan_to_num(readings[name][1:]) for name in self.sensors], axis=1),
+            np.stack([kept[name] for name in self.sensors], axis=1), np.cumsum(lengths), streams,
+            self.sensing(), self.config.faults, truth=truth)
+        arrived = self.config.channel.carry(streams, Sent(sensed.y, sensed.there, self.sensing().sd))
+        for i, name in enumerate(self.sensors):
+            kept[name] = arrived.received[:, i]
+            readings[name] = np.concatenate([readings[name][:1], arrived.y[:, i]])
+        y, received = arrived.y.copy(), arrived.received
+        late = np.zeros_like(received) if arrived.late is None else arrived.late > 0
         if "odometer" in self.sensors:
             first = int(np.isfinite(recording.measured["odometer"]).argmax())
             begun = recording.measured["odometer"][first] - recording.position[first]
             y[:, self.sensors.index("odometer")] += 0.5 * self.odometer_step - begun
-        truth = self._truth(steps)
+        truth = truth if sensed.truth is None else sensed.truth
         start = np.zeros((truth.shape[1], runs))
         start[0], start[1] = recording.position[0], recording.speed[0]
         ends = out & ~np.concatenate([out[1:], np.zeros((1, runs), dtype=bool)])
         window = np.where(out, 0, -1)
         window[ends] = 1
         return Trajectory(
-            truth=np.repeat(truth[:, :, None], runs, axis=2), u=self._told(readings, kept),
-            y=np.where(received, y, 0.0), received=received, active=np.ones((steps, runs), dtype=bool),
-            lengths=lengths, initial_mean=start, extra={"outage": out.astype(float)},
+            truth=truth, u=self._told(readings, kept), y=np.where(received | late, y, 0.0), received=received,
+            late=arrived.late, faulty=sensed.faulty if self.config.faults else None,
+            active=np.ones((steps, runs), dtype=bool), lengths=lengths, initial_mean=start,
+            extra={"outage": out.astype(float)},
             windows=("outage", "outage-end") if self.config.sensors.outage.place != "none" else (),
             window=window.astype(np.int16))
+
+    def sensing(self) -> Sensing:
+        told: Knowledge = self.resolve_knowledge({})
+        along = np.array([float(name != "speed") for name in self.sensors])
+        truth = np.zeros(5 if "odometer" in self.sensors else 3)
+        truth[0] = 1.0
+        return Sensing(self.sensors, np.array([getattr(told, name) for name in self.sensors]), (truth, along))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """See `Kinematics`. Raises Unsupported where the recording lacks what the motion told needs."""

@@ -1,0 +1,72 @@
+"""Sensors that fail for a while: stuck at a value, drifting away, silent, losing readings in bursts."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ..channels.gilbert_elliott import bursts
+from ..randomness import RunRandom
+from ..schema import Probability
+from ..world import Sensing
+from .base import Base, Readings
+
+
+class Stuck(Base):
+    """The reading stays what it was when the fault began."""
+
+    kind: Literal["stuck"]
+
+    def check(self, sensing: Sensing, following: bool = True) -> None:
+        super().check(sensing)
+        if not following:
+            raise ValueError("stuck is not offered where readings are made as the loop goes")
+
+    def apply(self, random: RunRandom, readings: Readings) -> None:
+        elements = readings.sensing.chosen(self.sensors)
+        inside, since = self.present(random, readings.time)
+        held = readings.y[0][elements]
+        for k in range(len(readings.time)):
+            begins = ~inside[k - 1] | (since[k] < since[k - 1]) if k else np.ones(len(random.runs), dtype=bool)
+            held = np.where(inside[k] & ~begins, held, readings.y[k][elements])
+            readings.y[k][elements] = held
+        self.mark(readings, elements, inside)
+
+
+class Drift(Base):
+    """The reading moves away by `rate` units a second from the beginning of the fault on."""
+
+    kind: Literal["drift"]
+    rate: float = 0.1
+
+    def apply(self, random: RunRandom, readings: Readings) -> None:
+        elements = readings.sensing.chosen(self.sensors)
+        inside, since = self.present(random, readings.time)
+        for element in elements:
+            readings.y[:, element] = np.where(inside, readings.y[:, element] + self.rate * since,
+                                              readings.y[:, element])
+        self.mark(readings, elements, inside)
+
+
+class Dropout(Base):
+    """The sensor gives nothing."""
+
+    kind: Literal["dropout"]
+
+    def apply(self, random: RunRandom, readings: Readings) -> None:
+        inside, _ = self.present(random, readings.time)
+        readings.there[:, readings.sensing.chosen(self.sensors)] &= ~inside[:, None, :]
+
+
+class Burst(Base):
+    """Readings are lost in bursts: a two-state chain, all sensors of the entry together (Gilbert-Elliott)."""
+
+    kind: Literal["burst"]
+    p_good_bad: Probability = 0.02
+    p_bad_good: Probability = 0.2
+
+    def apply(self, random: RunRandom, readings: Readings) -> None:
+        bad = bursts(random, len(readings.time), self.p_good_bad, self.p_bad_good)
+        inside, _ = self.present(random, readings.time)
+        readings.there[:, readings.sensing.chosen(self.sensors)] &= ~(bad & inside)[:, None, :]
