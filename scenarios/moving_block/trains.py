@@ -281,7 +281,7 @@ class TwoTrains:
             late = None if self.late is None else np.where(received, self.late[k], 0)
             wrong = None if self.faulty is None else received & self.faulty[k]
             y = y + self.off[k] if wrong is not None else y
-            events.append(Event(until - gone, y, received & self.heard[k], late, wrong))
+            events.append(Event(until - gone, y, received & self.heard[k], late=late, faulty=wrong))
             gone = until
         events.append(Event(1.0 - gone, np.zeros((4, runs)), nothing))
         return tuple(events)
