@@ -21,6 +21,7 @@ from ..scenarios.errors import Unsupported
 from ..scenarios.measurement import Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
+from .memento import Memento
 
 
 class Status(IntEnum):
@@ -124,6 +125,12 @@ class Estimator(ABC):
 
     status: NDArray[np.int8]
     reasons: dict[int, str]
+    late: str = "drop"
+    """What its entry wants done with late packets: "drop", "as-new" or "rewind"."""
+    told_faults: bool = False
+    """Whether its entry has it told which readings are faulty: it gets none of them."""
+    rejected: Mask | None = None
+    """After an update, of filters that judge readings: which of the received ones were discounted (ny, S)."""
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
         """parameters: as in the scenario file. Raises pydantic's ValidationError naming the field."""
@@ -179,13 +186,13 @@ class Estimator(ABC):
         """The present estimate. The arrays may be reused by later steps: callers copy what they keep."""
 
     def snapshot(self) -> Any:
-        """All that changes from step to step, copied (random streams by their state). Whoever does not write it cannot
-        be rewound."""
-        raise NotImplementedError
+        """All that changes from step to step, copied (random streams by their state). As it stands: everything that
+        hangs on the estimator but the design model and the parameters."""
+        return Memento(self)
 
     def restore(self, snapshot: Any) -> None:
         """Back to a snapshot, which may be asked for again."""
-        raise NotImplementedError
+        snapshot.restore()
 
     def past(self) -> Estimate | None:
         """Fixed-lag smoothers: the state `lag` steps ago; None before there is one."""

@@ -44,11 +44,15 @@ class Score(Strict):
 class EstimatorEntry(Strict):
     """One estimator of the scenario under its own label: which plug-in, its parameters, what it is told differently.
 
-    knowledge overrides the scenario's [knowledge] for this entry only. default = false: run only when asked for."""
+    knowledge overrides the scenario's [knowledge] for this entry only. late: what becomes of packets that come late:
+    `drop`, `as-new` (taken for fresh ones) or `rewind` (taken at their stamp, all since once more). told_faults: it is
+    told which readings are faulty, and gets none of them: a yardstick. default = false: run only when asked for."""
 
     plugin: str
     parameters: dict[str, Any] = {}
     knowledge: dict[str, Any] = {}
+    late: Literal["drop", "as-new", "rewind"] = "drop"
+    told_faults: bool = False
     default: bool = True
     note: str = ""
 

@@ -96,7 +96,8 @@ class Plan:
                     "scoring": scoring,
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
-                                "source": self.catalogue[entry.plugin].hash}
+                                "source": self.catalogue[entry.plugin].hash,
+                                **entry.model_dump(include={"late", "told_faults"}, exclude_defaults=True)}
                         for label, entry in cell.entries.items()
                     },
                 }

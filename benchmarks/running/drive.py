@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...estimators.interface import Estimate, Estimator, Innovation, misshapen
+from ...estimators.late import for_late
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
@@ -114,8 +115,12 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],
-            knowledge: Mapping[str, Any], initial_mean: Array) -> tuple[Estimator, DesignModel]:
-    """A configured estimator and its design model, checked against each other. Raises Unsupported, ValidationError."""
+            knowledge: Mapping[str, Any], initial_mean: Array, late: str = "drop",
+            told_faults: bool = False) -> tuple[Estimator, DesignModel]:
+    """A configured estimator and its design model, checked against each other; late, told_faults: as its entry says.
+    Raises Unsupported, ValidationError."""
     model = setting.design_model(knowledge, initial_mean)
     estimator_class.require(model)
-    return estimator_class(parameters), model
+    estimator = for_late(estimator_class(parameters), late, getattr(setting.config.channel, "longest", 0))
+    estimator.told_faults = told_faults
+    return estimator, model

@@ -76,7 +76,7 @@ def measure(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
     try:
         world = setting.world(streams)
         estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
-                                   world.initial_mean)
+                                   world.initial_mean, entry.late, entry.told_faults)
         begun = perf_counter()
         info = estimator.design(model)
         design = float(info.get("design_s", perf_counter() - begun))

@@ -10,6 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from ...estimators.interface import Estimate, Estimator, Innovation
+from ...estimators.late import Mailbox
 from ...scenarios.arrays import Mask
 from ...scenarios.errors import InputError
 from ...scenarios.measurement import Interval, Measurement, PerRun
@@ -43,6 +44,7 @@ class Loop:
 
     def __init__(self, world: World, estimator: Estimator, observer: Observer, *, idle: bool = True) -> None:
         self.world, self.estimator, self.observer, self.idle = world, estimator, observer, idle
+        self.mailbox = Mailbox(estimator.late)
         begun = perf_counter()
         self.mean = estimator.estimate().mean
         self.seconds = perf_counter() - begun
@@ -100,8 +102,14 @@ class Loop:
         return step
 
     def _arriving(self, step: Step, number: int, gone: PerRun, listens: Mask | None) -> Iterator[Measurement]:
-        """The measurements that are there at an event of a step: its own. Runs that have ended hear nothing."""
-        event = step.events[number]
+        """The measurements that are there at an event of a step: its own, and with the last one what comes late. Runs
+        that have ended hear nothing."""
+        event, time = step.events[number], step.start + gone * step.length
         received = event.received if listens is None else event.received & listens
+        if self.estimator.told_faults and event.faulty is not None:
+            received = received & ~event.faulty
+        self.mailbox.post(event, step.number, number, time)
         if self.idle or received.any():
-            yield Measurement(event.y, received, step.number, number, step.start + gone * step.length, event.covariance)
+            yield Measurement(event.y, received, step.number, number, time, event.covariance)
+        if number == len(step.events) - 1:
+            yield from self.mailbox.due(step.number, number, time, listens)

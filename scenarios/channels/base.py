@@ -44,6 +44,11 @@ class Base(Strict):
 
     silent: Literal["nothing", "hold"] = "nothing"
 
+    @property
+    def longest(self) -> int:
+        """By how many steps a packet can be late."""
+        return 0
+
     def check(self, ny: int, field: str = "channel") -> None:
         """Raise ValueError where the channel does not fit ny measurement elements."""
 

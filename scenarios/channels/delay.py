@@ -46,6 +46,10 @@ class Delay(Base):
         """Least and greatest delay, steps."""
         return (self.steps, self.steps) if isinstance(self.steps, int) else (self.steps[0], self.steps[1])
 
+    @property
+    def longest(self) -> int:
+        return 0 if self.silent == "hold" else self.range[1]
+
     def check(self, ny: int, field: str = "channel") -> None:
         self.loss.check(ny, f"{field}.loss")
 

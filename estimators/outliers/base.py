@@ -1,0 +1,100 @@
+"""The extended Kalman filter element by element, with a hook that weighs each reading before it is taken in.
+
+`rejected` says which of the received readings were discounted (weight or precision under one half): the alarms."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...scenarios.arrays import Array, Mask
+from ...scenarios.errors import Unsupported
+from ...scenarios.measurement import Measurement, untold
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import RunRandom
+from ..interface import Innovation, Status, flag
+from ..kalman import SINGULAR_INNOVATION, ExtendedKalman
+from .kernels import correct, look
+
+
+class Reading(NamedTuple):
+    """One element of a measurement as the filter sees it: all (S,) but the numbers.
+
+    residual: after the elements before it; spread = h P h'; noise: R of the element; received; time: of its
+    stamp, s."""
+
+    element: int
+    residual: Array
+    spread: Array
+    noise: Array
+    received: Mask
+    time: float | Array
+
+    @property
+    def variance(self) -> Array:
+        """Of the residual, were the noise as told."""
+        return self.spread + self.noise
+
+    @property
+    def ratio(self) -> Array:
+        """The squared normalised residual."""
+        return self.residual * self.residual / self.variance
+
+
+class Weighed(NamedTuple):
+    """How a reading is taken in: with noise variance (S,) and weight (S,); rejected (S,): it raised an alarm."""
+
+    noise: Array
+    weight: Array
+    rejected: Mask
+
+
+class ElementwiseKalman(ExtendedKalman):
+    """The extended Kalman filter, elements in turn; subclasses weigh each one. Needs uncorrelated sensor noise."""
+
+    @classmethod
+    def require(cls, model: DesignModel) -> None:
+        super().require(model)
+        assert model.measurement_covariance is not None
+        R = model.measurement_covariance(untold(0, model.ny))
+        if np.count_nonzero(R[:, :, 0]) > np.count_nonzero(R[:, :, 0].diagonal()):
+            raise Unsupported(f"{cls.__name__} judges each sensor on its own and needs a diagonal R")
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self._expand()
+        self.rejected = np.zeros((model.ny, runs), dtype=bool)
+
+    def weigh(self, reading: Reading) -> Weighed:
+        """What becomes of a reading. The plain Kalman filter takes each as it is told."""
+        raise NotImplementedError
+
+    def taken(self, reading: Reading, weighed: Weighed) -> None:
+        """After a reading has been taken in: for filters that change their state again."""
+
+    def update(self, measurement: Measurement) -> Innovation | None:
+        model, x, at = self.model, self._mean, measurement.step
+        assert model.measurement_jacobian is not None and model.measurement_covariance is not None
+        y = np.ascontiguousarray(measurement.y)
+        h = np.ascontiguousarray(model.measurement_jacobian(x, at))
+        r = np.broadcast_to(model.measurement_covariance(measurement), (len(y), len(y), self.runs))
+        predicted = np.ascontiguousarray(model.measurement(x, at))
+        start, product = x.copy(), np.empty_like(x)
+        residuals, variances = np.zeros(y.shape), np.ones(y.shape)
+        self.rejected = rejected = np.zeros(y.shape, dtype=bool)
+        bad = 0
+        for j in range(len(y)):
+            received = np.ascontiguousarray(measurement.received[j])
+            residual, spread = np.empty(self.runs), np.empty(self.runs)
+            look(x, start, self._covariance, h[j], y[j], predicted[j], received, residual, spread, product)
+            reading = Reading(j, residual, spread, np.ascontiguousarray(r[j, j]), received, measurement.time)
+            weighed = self.weigh(reading)
+            bad += correct(x, self._covariance, product, residual, spread + weighed.noise, weighed.weight, received,
+                           self._failed)
+            rejected[j] = weighed.rejected & received
+            residuals[j], variances[j] = residual, reading.variance
+            self.taken(reading, weighed)
+        if bad:
+            flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
+        return Innovation(residuals, variances)

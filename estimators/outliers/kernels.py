@@ -1,0 +1,84 @@
+"""Compiled scalar updates over a batch of runs: one measurement element at a time, weights and noise per run.
+
+Every loop over runs stands innermost and alone, so that no run's bits depend on its neighbours."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..kernels.core import kernel
+
+
+@kernel
+def look(mean, start, covariance, h, y, predicted, received, residual, spread, product):
+    """Of one element with row h (nx, S or 1): residual (S,) = y - predicted - h (mean - start), spread (S,) = h P h',
+    product (nx, S) = P h'; residual is 0 where it is not received (there y is not used)."""
+    n, runs = mean.shape
+    shared = h.shape[1] == 1
+    for s in range(runs):
+        residual[s] = y[s] - predicted[s] if received[s] else 0.0
+        spread[s] = 0.0
+    for a in range(n):
+        for s in range(runs):
+            product[a, s] = 0.0
+        for b in range(n):
+            for s in range(runs):
+                product[a, s] += covariance[a, b, s] * (h[b, 0] if shared else h[b, s])
+        for s in range(runs):
+            weight = h[a, 0] if shared else h[a, s]
+            spread[s] += weight * product[a, s]
+            residual[s] -= weight * (mean[a, s] - start[a, s]) if received[s] else 0.0
+
+
+@kernel
+def correct(mean, covariance, product, residual, variance, weight, received, failed):
+    """Take in one element in place: gain K = P h' / variance, mean += weight K residual,
+    P -= (weight variance - weight (1 - weight) residual^2) K K'. All (S,); product (nx, S) = P h'.
+
+    weight 1 is the Kalman filter, 0 leaves all as it is, between them the moments of the mixture of both (Bar-Shalom,
+    probabilistic data association). Returns how many runs failed (variance not positive)."""
+    n, runs = mean.shape
+    bad = 0
+    taken = np.zeros(runs)
+    for s in range(runs):
+        use = received[s] and weight[s] > 0.0
+        if use and not variance[s] > 0.0:
+            failed[s] = True
+            bad += 1
+            use = False
+        w = weight[s] if use else 0.0
+        taken[s] = (w * variance[s] - w * (1.0 - w) * residual[s] * residual[s]) / variance[s] / variance[s] if use \
+            else 0.0
+    for a in range(n):
+        for s in range(runs):
+            if taken[s] != 0.0 or (received[s] and weight[s] > 0.0):
+                mean[a, s] += weight[s] * product[a, s] / variance[s] * residual[s]
+    for a in range(n):
+        for b in range(a + 1):
+            for s in range(runs):
+                if taken[s] != 0.0:
+                    covariance[a, b, s] -= taken[s] * product[a, s] * product[b, s]
+            if b < a:
+                for s in range(runs):
+                    covariance[b, a, s] = covariance[a, b, s]
+    return bad
+
+
+@kernel
+def correntropy(ratio, bandwidth, out):
+    """out (S,) := exp(-ratio / (2 bandwidth^2)), ratio (S,) a squared normalised residual."""
+    for s in range(out.shape[0]):
+        out[s] = math.exp(-0.5 * ratio[s] / (bandwidth * bandwidth))
+
+
+@kernel
+def association(residual, variance, wide, share, out):
+    """out (S,): probability that a reading is a good one: N(residual; 0, variance) against N(residual; 0, wide), of
+    which a `share` of all readings is."""
+    for s in range(out.shape[0]):
+        square = residual[s] * residual[s]
+        odds = math.log(share / (1.0 - share)) + 0.5 * (math.log(variance[s] / wide[s]) + square / variance[s]
+                                                        - square / wide[s])
+        out[s] = 1.0 / (1.0 + math.exp(odds)) if odds < 700.0 else 0.0

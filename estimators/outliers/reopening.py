@@ -1,0 +1,88 @@
+"""How a gate opens again: never, by the median of what it rejects, or after a time of rejections.
+
+Without a way back a gate that has closed on the truth stays closed: the estimate then runs away for good."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from ...scenarios.arrays import Array, Mask
+from ...scenarios.errors import InputError
+from ...scenarios.model import DesignModel
+from ..interface import Parameters, used_with
+from .base import Reading
+
+
+class Reopening(Parameters):
+    """What a gate with a way back is asked for."""
+
+    reopen: Literal["never", "median", "time"] = Field("median", description="how the gate opens again")
+    memory: PositiveInt = Field(20, description="median: received readings looked back on")
+    needed: PositiveInt = Field(14, description="median: how many of them must be rejected, near their median")
+    near: PositiveFloat = Field(3.0, description="median: how near, in standard deviations of the sensor")
+    after: PositiveFloat = Field(20.0, description="time: s of rejections after which it opens")
+    together: tuple[str, ...] = Field((), description="time: opens only when all of these sensors have been rejected "
+                                                      "for that long; none: each on its own")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Reopening:
+        for name in ("memory", "needed", "near"):
+            used_with(self, name, "reopen", "median")
+        for name in ("after", "together"):
+            used_with(self, name, "reopen", "time")
+        if self.needed > self.memory:
+            raise ValueError(f"needed = {self.needed} cannot be more than memory = {self.memory}")
+        return self
+
+
+class Memory:
+    """The rejections of a batch, element by element: a ring of the last residuals for `median` (NaN: was accepted), the
+    time of the first of an unbroken row of rejections for `time`."""
+
+    def __init__(self, parameters: Reopening, model: DesignModel, runs: int) -> None:
+        self.parameters = parameters
+        self.ring = np.full((parameters.memory if parameters.reopen == "median" else 0, model.ny, runs), np.nan)
+        self.since = np.full((model.ny, runs), np.inf)
+        unknown = [name for name in parameters.together if name not in model.measurements]
+        if unknown:
+            raise InputError(f"together: there is no measurement {', '.join(unknown)}; allowed: "
+                             f"{', '.join(model.measurements)}")
+        self.together = [model.measurements.index(name) for name in parameters.together]
+
+    def opened(self, reading: Reading) -> Mask:
+        """`time`: runs (S,) whose gate of this element stands open."""
+        if self.parameters.reopen != "time":
+            return np.zeros(len(reading.residual), dtype=bool)
+        elements = self.together if reading.element in self.together else [reading.element]
+        longest = self.since[elements[0]]
+        for element in elements[1:]:
+            longest = np.maximum(longest, self.since[element])
+        return np.asarray(reading.time) - longest >= self.parameters.after - 1e-9
+
+    def note(self, reading: Reading, outside: Mask) -> None:
+        """Keep in mind that the received readings fell outside the gate, or inside."""
+        j, got = reading.element, reading.received
+        if self.parameters.reopen == "time":
+            begun = np.minimum(self.since[j], reading.time)
+            self.since[j] = np.where(got, np.where(outside, begun, np.inf), self.since[j])
+        elif self.parameters.reopen == "median":
+            ring = self.ring[:, j]
+            ring[:, got] = np.concatenate([ring[1:, got], np.where(outside, reading.residual, np.nan)[None, got]])
+
+    def found(self, reading: Reading) -> tuple[Mask, Array, Array]:
+        """`median`: runs (S,) in which enough of the rejected residuals agree, their mean and their number."""
+        runs = len(reading.residual)
+        agreed, mean, count = np.zeros(runs, dtype=bool), np.zeros(runs), np.zeros(runs)
+        if self.parameters.reopen != "median":
+            return agreed, mean, count
+        ring = self.ring[:, reading.element]
+        for s in np.flatnonzero(np.isfinite(ring).sum(axis=0) >= self.parameters.needed):
+            rejected = ring[:, s][np.isfinite(ring[:, s])]
+            near = rejected[np.abs(rejected - np.median(rejected)) <= self.parameters.near * np.sqrt(reading.noise[s])]
+            if len(near) >= self.parameters.needed:
+                agreed[s], mean[s], count[s] = True, near.mean(), len(near)
+                ring[:, s] = np.nan
+        return agreed, mean, count

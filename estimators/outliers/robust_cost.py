@@ -1,0 +1,48 @@
+"""Robust costs instead of the squared residual: Huber's M-estimator and the maximum correntropy criterion.
+
+Both are the Kalman filter with a noise variance that grows with the normalised residual."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field, PositiveFloat
+
+from ..interface import Parameters
+from .base import ElementwiseKalman, Reading, Weighed
+from .kernels import correntropy
+
+LEAST_WEIGHT = 1e-12
+
+
+class HuberKalman(ElementwiseKalman):
+    """R / w with w = 1 for |nu| <= k, k / |nu| beyond it; nu = residual / sqrt(h P h' + R), one reweighting."""
+
+    class Parameters(Parameters):
+        threshold: PositiveFloat = Field(1.345, description="k, in standard deviations of the residual (Huber 1964: 95 "
+                                                            "% efficiency at the Gaussian)")
+
+    summary = "EKF with Huber's cost: readings far off get a larger noise variance"
+    source = "Karlgaard and Schaub, J. Guidance 30(3), 2007; Huber, Ann. Math. Stat. 35, 1964"
+
+    def weigh(self, reading: Reading) -> Weighed:
+        size = np.sqrt(reading.ratio)
+        weight = np.where(size <= self.parameters.threshold, 1.0, self.parameters.threshold / np.maximum(size, 1e-300))
+        return Weighed(reading.noise / weight, np.ones_like(weight), weight < 0.5)
+
+
+class CorrentropyKalman(ElementwiseKalman):
+    """R / w with w = exp(-nu^2 / (2 bandwidth^2)), nu = residual / sqrt(h P h' + R): readings far off count nothing."""
+
+    class Parameters(Parameters):
+        bandwidth: PositiveFloat = Field(3.0, description="of the kernel, in standard deviations of the residual")
+
+    summary = "EKF by the maximum correntropy criterion (MCC)"
+    source = "Chen, Liu, Zhao and Principe, Automatica 76, 2017 (one step of the fixed-point iteration)"
+    least: ClassVar[float] = LEAST_WEIGHT
+
+    def weigh(self, reading: Reading) -> Weighed:
+        weight = np.empty_like(reading.residual)
+        correntropy(reading.ratio, self.parameters.bandwidth, weight)
+        return Weighed(reading.noise / np.maximum(weight, self.least), np.ones_like(weight), weight < 0.5)
