@@ -79,7 +79,7 @@ class ElementwiseKalman(ExtendedKalman):
         y = np.ascontiguousarray(measurement.y)
         h = np.ascontiguousarray(model.measurement_jacobian(x, at))
         r = np.broadcast_to(model.measurement_covariance(measurement), (len(y), len(y), self.runs))
-        predicted = np.ascontiguousarray(model.measurement(x, at))
+        predicted = np.array(model.measurement(x, at))  # a copy: it may be the mean itself
         start, product = x.copy(), np.empty_like(x)
         residuals, variances = np.zeros(y.shape), np.ones(y.shape)
         self.rejected = rejected = np.zeros(y.shape, dtype=bool)
@@ -90,8 +90,8 @@ class ElementwiseKalman(ExtendedKalman):
             look(x, start, self._covariance, h[j], y[j], predicted[j], received, residual, spread, product)
             reading = Reading(j, residual, spread, np.ascontiguousarray(r[j, j]), received, measurement.time)
             weighed = self.weigh(reading)
-            bad += correct(x, self._covariance, product, residual, spread + weighed.noise, weighed.weight, received,
-                           self._failed)
+            bad += correct(x, self._covariance, h[j], product, residual, spread + weighed.noise, weighed.noise,
+                           weighed.weight, received, self._failed)
             rejected[j] = weighed.rejected & received
             residuals[j], variances[j] = residual, reading.variance
             self.taken(reading, weighed)

@@ -33,33 +33,41 @@ def look(mean, start, covariance, h, y, predicted, received, residual, spread, p
 
 
 @kernel
-def correct(mean, covariance, product, residual, variance, weight, received, failed):
+def correct(mean, covariance, h, product, residual, variance, noise, weight, received, failed):
     """Take in one element in place: gain K = P h' / variance, mean += weight K residual,
-    P -= (weight variance - weight (1 - weight) residual^2) K K'. All (S,); product (nx, S) = P h'.
+    P := weight J + (1 - weight) P + weight (1 - weight) residual^2 K K', J = (I - K h) P (I - K h)' + K noise K'.
 
-    weight 1 is the Kalman filter, 0 leaves all as it is, between them the moments of the mixture of both (Bar-Shalom,
-    probabilistic data association). Returns how many runs failed (variance not positive)."""
+    weight 1 is the Kalman filter in Joseph form, 0 leaves all as it is, between them the moments of the mixture of both
+    (Bar-Shalom, probabilistic data association). h (nx, S or 1), product (nx, S) = P h', others (S,). Returns how many
+    runs failed (variance not positive)."""
     n, runs = mean.shape
+    shared = h.shape[1] == 1
     bad = 0
-    taken = np.zeros(runs)
+    use, gain, left, after = np.zeros(runs, np.bool_), np.empty((n, runs)), np.empty((n, runs)), np.empty((n, n, runs))
     for s in range(runs):
-        use = received[s] and weight[s] > 0.0
-        if use and not variance[s] > 0.0:
+        use[s] = received[s] and weight[s] > 0.0
+        if use[s] and not variance[s] > 0.0:
             failed[s] = True
             bad += 1
-            use = False
-        w = weight[s] if use else 0.0
-        taken[s] = (w * variance[s] - w * (1.0 - w) * residual[s] * residual[s]) / variance[s] / variance[s] if use \
-            else 0.0
+            use[s] = False
     for a in range(n):
         for s in range(runs):
-            if taken[s] != 0.0 or (received[s] and weight[s] > 0.0):
-                mean[a, s] += weight[s] * product[a, s] / variance[s] * residual[s]
+            gain[a, s] = product[a, s] / variance[s] if use[s] else 0.0
+            left[a, s] = 0.0
+        for b in range(n):
+            for s in range(runs):
+                after[a, b, s] = covariance[a, b, s] - gain[a, s] * product[b, s]
+                left[a, s] += after[a, b, s] * (h[b, 0] if shared else h[b, s])
     for a in range(n):
+        for s in range(runs):
+            mean[a, s] += weight[s] * gain[a, s] * residual[s] if use[s] else 0.0
         for b in range(a + 1):
             for s in range(runs):
-                if taken[s] != 0.0:
-                    covariance[a, b, s] -= taken[s] * product[a, s] * product[b, s]
+                if use[s]:
+                    w, square = weight[s], gain[a, s] * gain[b, s]
+                    joseph = after[a, b, s] - left[a, s] * gain[b, s] + noise[s] * square
+                    mixed = w * joseph + (1.0 - w) * covariance[a, b, s]
+                    covariance[a, b, s] = mixed + w * (1.0 - w) * residual[s] * residual[s] * square
             if b < a:
                 for s in range(runs):
                     covariance[b, a, s] = covariance[a, b, s]
