@@ -66,9 +66,9 @@ class Scenario:
         content = {key: value for key, value in table.items() if key not in DISPLAY}
         found = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
         for key in setting_for(table["plant"]["kind"], self.where).user_files:
-            path = table["plant"].get(key)
-            if isinstance(path, str):
-                found.update(Path(path).read_bytes())
+            for path in _paths(table["plant"].get(key)):
+                for file in sorted(Path(path).rglob("*")) if Path(path).is_dir() else [Path(path)]:
+                    found.update(file.read_bytes() if file.is_file() else b"")
         return found.hexdigest()[:16]
 
 
@@ -226,8 +226,18 @@ def _located(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     kind = settings().get(str(plant.get("kind"))) if isinstance(plant, dict) else None
     if kind is None or not isinstance(plant, dict):
         return table
-    named = {key: str((folder / plant[key]).resolve()) for key in kind.user_files if isinstance(plant.get(key), str)}
+    named: dict[str, Any] = {}
+    for key in kind.user_files:
+        found = [str((folder / path).resolve()) for path in _paths(plant.get(key))]
+        if found:
+            named[key] = found if isinstance(plant[key], list) else found[0]
     return {**table, "plant": {**plant, **named}}
+
+
+def _paths(value: Any) -> list[str]:
+    """The paths that a key of [plant] names: one, a list of them, or none (a table)."""
+    return [value] if isinstance(value, str) else [path for path in value if isinstance(path, str)] if isinstance(
+        value, list) else []
 
 
 def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
