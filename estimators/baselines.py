@@ -79,7 +79,8 @@ class DeadReckoning(Estimator):
 
 
 class Truth(Estimator):
-    """The oracle: the first nx entries of the truth vector. The design model's start before the first step."""
+    """The oracle: the first nx entries of the truth vector. The design model's start before the first step, and what it
+    was where a truth is not known."""
 
     summary = "oracle: the true state"
     source = "not an estimator: the bound that no estimator passes"
@@ -91,7 +92,9 @@ class Truth(Estimator):
         self._mean = np.array(model.initial_mean, dtype=float)
 
     def reveal(self, truth: Array) -> None:
-        self._mean = np.array(truth[:self.model.nx])
+        known, own = truth[:self.model.nx], self._mean.copy()
+        own[:len(known)] = np.where(np.isnan(known), own[:len(known)], known)
+        self._mean = own
 
     def predict(self, u: Array, interval: Interval) -> None:
         """Nothing: `reveal` has told it all."""

@@ -44,12 +44,12 @@ class Step:
 
     u (nu, S): the input as the estimator is told it, over the interval that ends here. events: in time order, their
     shares adding up to 1 (or 0: measured at the start). truth (nt, S): the state, then the parameters to be estimated,
-    at the instant. active (S,): runs still under way (a train that has stopped is scored no further, and hears nothing
-    any more). scored (nt, S): elements of the truth that still count in runs under way (one of several trains may have
-    finished); None: all of them. window (S,): index of the world's named window each run is in (a section of a trip),
-    -1 for none. number: of the step the interval leads to, 0 being the start. start, length: of the interval, s,
-    numbers or (S,). reference (2, S): where the last place known on the way (a balise that was read) lies as told and
-    in truth, NaN before the first."""
+    at the instant (NaN: unknown). active (S,): runs still under way (a train that has stopped is scored no further, and
+    hears nothing any more). scored (nt, S): elements of the truth that still count in runs under way (one of several
+    trains may have finished); None: all of them. window (S,): index of the world's named window each run is in (a
+    section of a trip), -1 for none. number: of the step the interval leads to, 0 being the start. start, length: of the
+    interval, s, numbers or (S,). reference (2, S): where the last place known on the way (a balise that was read) lies
+    as told and in truth, NaN before the first."""
 
     u: Array
     events: tuple[Event, ...]

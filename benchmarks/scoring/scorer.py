@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...estimators.interface import Estimate, Status
-from ...scenarios.arrays import Array
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.setting import Quantity
 from ...scenarios.world import Step
 from .kernels import score_bound, score_errors, score_matrix, score_nees
@@ -65,7 +65,8 @@ class Scorer:
         self.nees_states = 0
 
     def add(self, k: int, estimate: Estimate, step: Step) -> None:
-        """Score the estimate of step k."""
+        """Score the estimate of step k: the elements whose truth is known (not NaN), and of claims those of the
+        truth's own states, which come first."""
         if k < self.skip:
             return
         mean = np.ascontiguousarray(estimate.mean)
@@ -75,16 +76,25 @@ class Scorer:
         if len(vector) < len(truth):  # a parameter that is not estimated: no error here, no metric in `finish`
             vector = np.concatenate([vector, truth[len(vector):]])
         scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
-        score_errors(vector, truth, step.active, scored, self.index, self.weight, self.owner, self.share, self.limit,
+        active, known = step.active, ~np.isnan(truth)
+        last, gaps = self.last, not known.all()
+        if gaps:
+            scored = known if step.scored is None else known & step.scored
+            active, last = active & scored.any(axis=0), self.last.copy()
+            truth = np.where(known, truth, vector[:len(truth)])
+        score_errors(vector, truth, active, scored, self.index, self.weight, self.owner, self.share, self.limit,
                      self.good, live, self.step, self.totals, self.last, self.left_out, self.steps, curve)
+        if gaps:
+            live = self._without_gaps(known, last, curve)
         if estimate.covariance is not None and self.referenced:
-            score_nees(vector, truth, np.ascontiguousarray(estimate.covariance), live, self.form, self.lost, self.nees,
-                       self.nees_steps, curve)
+            n = min(len(truth), estimate.covariance.shape[0])
+            score_nees(vector, truth, np.ascontiguousarray(estimate.covariance[:n, :n]), live, self.form, self.lost,
+                       self.nees, self.nees_steps, curve)
             self.claimed.add("nees")
-            self.nees_states = estimate.covariance.shape[0]
+            self.nees_states = n
         if estimate.ellipsoid is not None:
-            n = estimate.ellipsoid.shape[0]
-            score_matrix(vector, truth, np.ascontiguousarray(estimate.ellipsoid), live, self.form, self.lost)
+            n = min(len(truth), estimate.ellipsoid.shape[0])
+            score_matrix(vector, truth, np.ascontiguousarray(estimate.ellipsoid[:n, :n]), live, self.form, self.lost)
             use = (live > 0) & ~np.isnan(self.form)
             self.inside += use & (self.form <= 1 + 1e-9)
             self.ellipsoid_steps += use
@@ -96,6 +106,17 @@ class Scorer:
             score_bound(vector, truth, self.performance, np.ascontiguousarray(estimate.bound), live, self.bound,
                         self.performed, self.bound_steps)
             self.claimed.add("bound")
+
+    def _without_gaps(self, known: Mask, last: Array, curve: Array) -> Array:
+        """After a step with unknown truth (known (nt, S)): the last error of a quantity stays what it was, `last`,
+        where one of its elements is unknown, its curve has a gap, and claims are judged where all is known: live
+        (S,)."""
+        for q in range(len(self.quantities)):
+            missing = ~known[self.index[self.owner == q]].all(axis=0)
+            self.last[q] = np.where(missing, last[q], self.last[q])
+            if (missing & (self.live > 0)).any():
+                curve[:3, q] = np.nan
+        return self.live * known.all(axis=0)
 
     def finish(self, status: NDArray[np.int8], reasons: Mapping[int, str]) -> Scored:
         """The metrics per run. Runs the estimator itself gave up keep their status and reason (by place in the batch);
@@ -114,10 +135,11 @@ class Scorer:
                 self.curves[:, :3, q] = np.nan
                 continue
             counted = steps - self.left_out[q] if item.mean else steps
+            counted = np.where(counted > 0, counted, np.nan)  # a truth that never was known has no error
             metrics["rmse", item.name] = np.sqrt(self.totals[0, q] / counted)
             metrics["mae", item.name] = self.totals[1, q] / counted
-            metrics["max", item.name] = self.totals[2, q].copy()
-            metrics["final", item.name] = np.sqrt(self.last[q])
+            metrics["max", item.name] = np.where(counted > 0, self.totals[2, q], np.nan)
+            metrics["final", item.name] = np.where(counted > 0, np.sqrt(self.last[q]), np.nan)
             if not item.mean:
                 metrics["sum-squared", item.name] = self.totals[0, q].copy()
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -3,46 +3,94 @@
 # pyright: reportIncompatibleVariableOverride=false
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import nan
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
 
 from ..arrays import Array
 from ..channels import Channel, Ideal
 from ..faults import Faults
 from ..railway.line import LineOrFile, TrainOrFile
 from ..schema import ScenarioConfig, Strict
-from .readers.table import Recording, read_recording
+from .columns import ROLES
+from .recording import MEASURED, Meaning, Recording, read_recording
+from .times import Duplicates, Order
 from .told import Knowledge
 
-SENSORS = ("position", "speed", "odometer")
 Name = Literal["position", "speed", "odometer"]
 Span = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 
 
 class Plant(Strict):
-    """recording: path of a CSV or Parquet file. map: role -> column with its unit (`t_s` or `t [s]`); roles: time,
-    position, speed, odometer, control (the share of the greatest force asked for from that time on),
-    reference_position, reference_speed. line, train: tables, or paths of TTOBench files, for the model of the train
-    that `control` drives."""
+    """recording: path of a recorded trip, CSV or another of the formats that are read, or a list of several trips'
+    paths, of which `trips` says whether a run draws one or the runs go through them in turn. map: role -> column with
+    its unit (`t_s`, `t [s]`, `t (s)`); roles: time, position (or latitude and longitude), speed, odometer,
+    acceleration, control (the share of the greatest force asked for from that time on), reference_position,
+    reference_speed, and position_sd, speed_sd, odometer_sd (how good the sensor says its reading is). line, train:
+    tables, or paths of TTOBench files, for the model of the train that `control` drives.
+
+    missing: numbers or texts that stand for no value. quality: class of a _sd column -> standard deviation in SI, or
+    "missing" for no reading. order: of rows that are not in order of time. duplicates: of rows with the same time.
+    wrap: m after which the odometer begins anew. track: GeoJSON file of the line that latitude and longitude run along;
+    none: the recording's own path. span: [from, to] and without: [[from, to], ..], rows taken and left out, in s after
+    the first row."""
 
     kind: Literal["recorded"]
-    recording: str | None = None
+    recording: str | Annotated[list[str], Field(min_length=1)] | None = None
+    trips: Literal["turn", "draw"] = "turn"
     map: dict[str, str] = {}
+    missing: list[float | str] = []
+    quality: dict[str, PositiveFloat | Literal["missing"]] = {}
+    order: Order = "refuse"
+    duplicates: Duplicates = "refuse"
+    wrap: PositiveFloat | None = None
+    track: str | None = None
+    span: Span | None = None
+    without: list[Span] = []
     line: LineOrFile | None = None
     train: TrainOrFile | None = None
 
+    @field_validator("map")
+    @classmethod
+    def _roles(cls, named: dict[str, str]) -> dict[str, str]:
+        for role in named:
+            if role not in ROLES:
+                raise ValueError(f"map.{role}: no such role; allowed: {', '.join(ROLES)}")
+        return named
+
+    @property
+    def meaning(self) -> Meaning:
+        """What the columns of the recording are to mean."""
+        return Meaning(
+            map=tuple(sorted(self.map.items())), missing=tuple(self.missing),
+            quality=tuple((name, nan if sd == "missing" else sd) for name, sd in self.quality.items()),
+            order=self.order, duplicates=self.duplicates, wrap=self.wrap, track=self.track,
+            span=(self.span[0], self.span[1]) if self.span else None,
+            without=tuple((begin, end) for begin, end in self.without))
+
+    def recorded(self) -> tuple[Recording, ...]:
+        """The trips. Raises ValueError where one cannot be read."""
+        paths = [self.recording] if isinstance(self.recording, str) else self.recording or []
+        return tuple(read_recording(path, self.meaning) for path in paths)
+
     @model_validator(mode="after")
     def _readable(self) -> Plant:
-        if self.recording is not None:
-            read_recording(self.recording, self.map)
+        if any(begin >= end for begin, end in [*self.without, *([self.span] if self.span else [])]):
+            raise ValueError("span = [from, to] and without = [[from, to], ..] need from < to")
+        for trip in self.recorded():
+            wrong = [item.text for item in trip.findings if item.grade == "impossible" and not item.reading]
+            if wrong:
+                more = f"; and {len(wrong) - 2} more: railstate inspect" if len(wrong) > 2 else ""
+                raise ValueError(f"{trip.path}: {'; '.join(wrong[:2])}{more}")
         return self
 
 
 class Outage(Strict):
-    """No readings of `sensors`: during `windows` [[from, to], ..] (seconds after the start), or for `duration` seconds
-    from a start that is drawn per run (`random`) or goes over all samples where it fits (`sweep`: as many runs have
-    each of them once, fewer are spread evenly)."""
+    """No readings of `sensors`: during `windows` [[from, to], ..] (s after the recording's first row), or for
+    `duration` seconds from a start that is drawn per run (`random`) or goes over all samples where it fits
+    (`sweep`: as many runs have each of them once, fewer are spread evenly)."""
 
     place: Literal["none", "windows", "random", "sweep"] = "none"
     sensors: list[Name] = Field(default=["position"], min_length=1)
@@ -64,11 +112,13 @@ class Outage(Strict):
 
 class Sensors(Strict):
     """use: the sensors estimators get, those the recording has. noise: standard deviations added to the readings in m,
-    m/s, m. odometer_step m: it counts in such steps, so that its reading is half of one late on average; where left
+    m/s, m; none where nothing is said. period s: of a sensor's readings only the first in each such time is heard.
+    odometer_step m: it counts in such steps, so that its reading is half of one late on average; where left
     out, taken from the readings."""
 
     use: Annotated[list[Name], Field(min_length=1)]
-    noise: dict[Name, NonNegativeFloat]
+    noise: dict[Name, NonNegativeFloat] = {}
+    period: dict[Name, NonNegativeFloat] = {}
     odometer_step: NonNegativeFloat | None = None
     outage: Outage = Outage()
 
@@ -84,20 +134,41 @@ class RecordedConfig(ScenarioConfig):
 
     @model_validator(mode="after")
     def _fits_the_recording(self) -> RecordedConfig:
-        if self.plant.recording is None:
-            return self
-        recording, outage = read_recording(self.plant.recording, self.plant.map), self.sensors.outage
-        found = self.heard(recording)
-        if not found:
-            raise ValueError(f"sensors.use has {', '.join(self.sensors.use)}, but plant.map has "
-                             f"{', '.join(recording.measured) or 'no sensor'}: map one of them, or run another variant")
-        self.channel.check(len(found))
-        time = recording.time[1:self.time.steps + 1]
-        if outage.place in ("random", "sweep") and not len(outage.starts(time)):
-            raise ValueError(f"sensors.outage.duration: {outage.duration:g} s do not fit into the recording of "
-                             f"{time[-1] - recording.time[0]:g} s")
+        outage = self.sensors.outage
+        for trip in self.plant.recorded():
+            found = self.heard(trip)
+            if not found:
+                raise ValueError(f"sensors.use has {', '.join(self.sensors.use)}, but plant.map has "
+                                 f"{', '.join(trip.measured) or 'no sensor'}: map one of them, or run another variant")
+            self.channel.check(len(found))
+            if len(trip.time) - 1 > self.time.steps:
+                raise ValueError(f"time.steps: {trip.path} has {len(trip.time)} rows, more than {self.time.steps} "
+                                 "steps: take a part (--from, --to, or plant.span) or more steps (--set time.steps="
+                                 f"{len(trip.time)})")
+            time = trip.time[1:]
+            if outage.place in ("random", "sweep") and not len(outage.starts(time)):
+                raise ValueError(f"sensors.outage.duration: {outage.duration:g} s do not fit into the recording of "
+                                 f"{time[-1] - trip.time[0]:g} s")
+            jumps = [item.text for item in trip.findings if item.grade == "impossible" and item.reading]
+            if jumps and not trip.apart["position"] and self.judged(trip, "position"):
+                raise ValueError(f"{trip.path}: the reference of what is withheld is the reading itself, and "
+                                 f"{jumps[0]}")
         return self
 
-    def heard(self, recording: Recording) -> tuple[str, ...]:
+    def heard(self, trip: Recording) -> tuple[str, ...]:
         """The sensors that are used and recorded, in the order of the measurements."""
-        return tuple(name for name in SENSORS if name in self.sensors.use and name in recording.measured)
+        return tuple(name for name in MEASURED if name in self.sensors.use and name in trip.measured)
+
+    def judged(self, trip: Recording, quantity: str) -> bool:
+        """Whether estimates of the position or the speed are scored anywhere: by a reference of its own, or by readings
+        that are withheld from the estimators or told with noise added. A speed in no column goes with the position."""
+        if trip.apart[quantity]:
+            return True
+        if quantity == "speed" and "speed" not in trip.measured:
+            quantity = "position"
+        sensors: Mapping[str, float] = self.sensors.noise  # pyright: ignore[reportAssignmentType]
+        periods: Mapping[str, float] = self.sensors.period  # pyright: ignore[reportAssignmentType]
+        outage = self.sensors.outage
+        return bool(sensors.get(quantity, 0.0) > 0 or periods.get(quantity, 0.0) > 0 or (
+            quantity == "position" and "position" not in self.sensors.use) or (
+            outage.place != "none" and quantity in outage.sensors) or self.channel != Ideal())

@@ -1,7 +1,8 @@
 """The design model of a recorded trip, kinematic or that of the train, discretised for each step's own interval.
 
 States: position s, speed v; with an odometer its shortfall b (m) and excess e, b growing by e per metre the odometer
-counts (true distance = (1 + e) x counted); with white jerk the acceleration. Dead reckoning takes s and v as told."""
+counts (true distance = (1 + e) x counted); with white jerk the acceleration, with an accelerometer its bias. Dead
+reckoning takes s and v as told."""
 
 from __future__ import annotations
 
@@ -19,34 +20,40 @@ from ..model import Bounds, DesignModel, Linear, product
 from ..railway import dynamics as metro_plant
 from ..railway.dynamics import Forces, Slope
 from ..schema import Strict
+from .recording import Recording
 
-UNITS = {"position": "m", "speed": "m/s", "odometer": "m"}
+LAST = {"jerk": "acceleration", "accelerometer": "bias"}
+"""The last state of a motion that has one more."""
 
 
 class Initial(Strict):
-    """Standard deviations of the start: position m, speed m/s, shortfall m, excess, acceleration m/s^2."""
+    """Standard deviations of the start: position m, speed m/s, shortfall m, excess, acceleration m/s^2, the
+    accelerometer's bias m/s^2."""
 
     position: PositiveFloat
     speed: PositiveFloat
     shortfall: PositiveFloat
     excess: PositiveFloat
     acceleration: PositiveFloat
+    bias: PositiveFloat = 0.1
 
 
 class Knowledge(Strict):
     """motion: white `acceleration` or `jerk` of spectral density `density` (m^2/s^3 or m^2/s^5); `train`: what the
-    recorded control asks of the train on its line, and white acceleration; or `odometer`: the distance and speed told
-    as input, nothing else (dead reckoning).
+    recorded control asks of the train on its line, and white acceleration; `accelerometer`: its reading less a bias
+    that walks by bias_density m^2/s^5, and white noise of it; or `odometer`: the distance and speed told as input,
+    nothing else (dead reckoning).
 
     shortfall: `told`, grown by the odometer's own count (linear in the state), or `modelled`, by the state's speed
     (nonlinear). shortfall_density m^2/s, excess_density 1/s: random walks. w_bar m/s^2: bound of the acceleration.
     position, speed, odometer: standard deviations of the sensors in m, m/s, m; bounds are three times as wide."""
 
-    motion: Literal["acceleration", "jerk", "train", "odometer"]
+    motion: Literal["acceleration", "jerk", "train", "accelerometer", "odometer"]
     shortfall: Literal["told", "modelled"]
     density: PositiveFloat
     shortfall_density: Annotated[float, Field(ge=0)]
     excess_density: Annotated[float, Field(ge=0)]
+    bias_density: Annotated[float, Field(ge=0)] = 1e-6
     w_bar: PositiveFloat
     position: PositiveFloat
     speed: PositiveFloat
@@ -78,29 +85,36 @@ class Kinematics:
         if self.told.motion == "odometer":
             return "position", "speed"
         return ("position", "speed", *(("shortfall", "excess") if self.odometer else ()),
-                *(("acceleration",) if self.told.motion == "jerk" else ()))
+                *((LAST[self.told.motion],) if self.told.motion in LAST else ()))
 
     def transition(self, x: Array, u: Array, interval: Interval) -> Array:
-        """x+ (nx, .., S) at the end of the interval; u (2 or 3, S): distance by the odometer over the whole step m,
-        speed m/s, control."""
+        """x+ (nx, .., S) at the end of the interval; u (4, S): distance by the odometer over the whole step m, speed
+        m/s, control, acceleration m/s^2."""
         out, h, counted = np.array(x, dtype=float), np.asarray(interval.length), u[0] * interval.share
         if self.told.motion == "odometer":
             out[0] += counted
             out[1] = np.where(h > 0, u[1], x[1])
             return out
-        jerk = self.told.motion == "jerk"
+        sign = self._sign
+        pull = sign * x[-1] + (u[3] if sign < 0 else 0.0) if sign else None
         if self.told.motion == "train":
             moved = self._driven(x, u, h)
             travelled = moved[0] - x[0]
             out[:2] = moved
         else:
-            travelled = h * x[1] + (0.5 * h * h * x[-1] if jerk else 0.0)
+            travelled = h * x[1] + (0.0 if pull is None else 0.5 * h * h * pull)
             out[0] += travelled
-        if jerk:
-            out[1] += h * x[-1]
+        if pull is not None:
+            out[1] += h * pull
         if self.odometer:
             out[2] += x[3] * counted if self.told.shortfall == "told" else travelled * x[3] / (1 + x[3])
         return out
+
+    @property
+    def _sign(self) -> float:
+        """How the last state adds to the acceleration: itself, or as the bias of what the accelerometer says; 0: there
+        is none."""
+        return {"jerk": 1.0, "accelerometer": -1.0}.get(self.told.motion, 0.0)
 
     def _driven(self, x: Array, u: Array, h: Array) -> Array:
         """Position and speed (2, .., S) by the train's own law."""
@@ -120,7 +134,7 @@ class Kinematics:
             return out
         for i in range(nx):
             out[i, i] = 1.0
-        jerk = self.told.motion == "jerk"
+        sign = self._sign
         out[0, 1] = h
         if self.told.motion == "train":
             assert self.drive is not None
@@ -128,18 +142,20 @@ class Kinematics:
             metro_plant.transition_jacobian(np.ascontiguousarray(x[1]), np.ascontiguousarray(u[2]),
                                             np.broadcast_to(h, (runs,)).copy(), self.drive.forces, block)
             out[:2, :2] = block
-        if jerk:
-            out[0, nx - 1], out[1, nx - 1] = 0.5 * h * h, h
+        if sign:
+            out[0, nx - 1], out[1, nx - 1] = sign * 0.5 * h * h, sign * h
         if self.odometer and self.told.shortfall == "told":
             out[2, 3] = u[0] * interval.share
         elif self.odometer:
-            travelled = h * x[1] + (0.5 * h * h * x[nx - 1] if jerk else 0.0)
+            travelled = h * x[1]
+            if sign:
+                travelled = travelled + 0.5 * h * h * (sign * x[nx - 1] + (u[3] if sign < 0 else 0.0))
             if self.told.motion == "train":
                 travelled = self._driven(x, u, h)[0] - x[0]
             out[2, 1] = out[0, 1] * x[3] / (1 + x[3])
             out[2, 3] = travelled / (1 + x[3]) ** 2
-            if jerk:
-                out[2, nx - 1] = 0.5 * h * h * x[3] / (1 + x[3])
+            if sign:
+                out[2, nx - 1] = sign * 0.5 * h * h * x[3] / (1 + x[3])
         return out
 
     def covariance(self, length: PerRun) -> Array:
@@ -155,6 +171,8 @@ class Kinematics:
         else:
             out[0, 0], out[1, 1] = q * h**3 / 3, q * h
             out[0, 1] = out[1, 0] = q * h**2 / 2
+        if self.told.motion == "accelerometer":
+            out[nx - 1, nx - 1] = self.told.bias_density * h
         if self.odometer and nx > 2:
             out[2, 2], out[3, 3] = self.told.shortfall_density * h, self.told.excess_density * h
         return out
@@ -166,9 +184,9 @@ class Kinematics:
         out[0, 0], out[1, 0] = 0.5 * h * h, h
         return out
 
-    def model(self, sensors: Sequence[str], initial_mean: Array, lengths: Array, counted: Array) -> DesignModel:
-        """The design model for these sensors; lengths (K,) s and counted (K,), the odometer's own distance over each
-        interval, make the matrices of the linear form."""
+    def model(self, sensors: Sequence[str], initial_mean: Array, trips: Sequence[Recording]) -> DesignModel:
+        """The design model for these sensors. The matrices of the linear form are those of one trip's intervals and
+        its odometer's own distances: several trips have none."""
         states, told = self.states, self.told
         nx = len(states)
         C = np.zeros((len(sensors), nx))
@@ -178,24 +196,16 @@ class Kinematics:
                 row[states.index("shortfall")] = -1.0
         deviations = np.array([getattr(told, name) for name in sensors])
         R, start = np.diag(deviations**2), np.array([getattr(told.initial, name) for name in states])
+        start[1] = max(start[1], *(_pace_sd(trip, told.position) for trip in trips))
         observe = C[:, :, None]
 
         parts: dict[str, Any] = {}
-        kinematic = told.motion in ("acceleration", "jerk")
-        if kinematic:
+        if told.motion in ("acceleration", "jerk"):
             parts["bounds"] = Bounds(self.gain(self.period)[:, :, 0], np.array([told.w_bar]), 3 * deviations,
                                      part=lambda interval: self.gain(interval.length))
-        if kinematic and (told.shortfall == "told" or not self.odometer):
-            last, inputs = len(lengths) - 1, 2 + (self.drive is not None)
-
-            def A(k: int) -> Array:
-                i = min(k, last)
-                whole = Interval(k + 1, 0.0, float(lengths[i]))
-                return self.jacobian(np.zeros((nx, 1)), np.array([[counted[i]], [0.0]]), whole)[:, :, 0]
-
-            parts["linear"] = Linear(
-                A=A, B=lambda k: np.zeros((nx, inputs)), h=lambda k: np.zeros(nx), C=lambda k: C,
-                Q=lambda k: self.covariance(float(lengths[min(k, last)]))[:, :, 0], R=lambda k: R, constant=False)
+        if told.motion in ("acceleration", "jerk", "accelerometer") and len(trips) == 1 and (
+                told.shortfall == "told" or not self.odometer):
+            parts["linear"] = self._linear(trips[0], C, R)
         return DesignModel(
             states=states, measurements=tuple(sensors), period=self.period, transition=self.transition,
             measurement=lambda x, step: product(C, x), transition_jacobian=self.jacobian,
@@ -203,4 +213,38 @@ class Kinematics:
             process_covariance=lambda x, u, interval: self.covariance(interval.length),
             measurement_covariance=told_covariance(lambda step: R[:, :, None]),
             initial_mean=np.ascontiguousarray(initial_mean[:nx]), initial_covariance=np.diag(start**2)[:, :, None],
-            **parts)
+            tells=tuple(name for name in sensors if any(name in trip.told for trip in trips)), **parts)
+
+    def _linear(self, trip: Recording, C: Array, R: Array) -> Linear:
+        """The linear form on one trip: with its odometer's own distance over each interval, as far as it is told."""
+        nx, lengths = len(self.states), np.diff(trip.time)
+        last = len(lengths) - 1
+        counted = np.zeros(len(lengths))
+        if "odometer" in trip.measured:
+            there = np.isfinite(trip.measured["odometer"])
+            values = trip.measured["odometer"][there]
+            at = np.clip(np.cumsum(there) - 1, 0, None)  # held until the next reading
+            counted = np.diff(values[at])
+
+        def A(k: int) -> Array:
+            i = min(k, last)
+            whole, told = Interval(k + 1, 0.0, float(lengths[i])), np.array([[counted[i]], [0.0], [0.0], [0.0]])
+            return self.jacobian(np.zeros((nx, 1)), told, whole)[:, :, 0]
+
+        def B(k: int) -> Array:
+            out, h = np.zeros((nx, 4)), float(lengths[min(k, last)])
+            if self.told.motion == "accelerometer":
+                out[0, 3], out[1, 3] = 0.5 * h * h, h
+            return out
+
+        return Linear(A=A, B=B, h=lambda k: np.zeros(nx), C=lambda k: C,
+                      Q=lambda k: self.covariance(float(lengths[min(k, last)]))[:, :, 0], R=lambda k: R, constant=False)
+
+
+def _pace_sd(trip: Recording, position: float) -> float:
+    """Standard deviation of a start speed that comes from the first two positions, m/s; 0 where a sensor tells it."""
+    if {"speed", "odometer"} & set(trip.measured) or "position" not in trip.measured:
+        return 0.0
+    a, b = np.flatnonzero(np.isfinite(trip.measured["position"]))[:2]
+    sd = trip.told.get("position", np.full(len(trip.time), np.nan))[[a, b]]
+    return float(np.hypot(*np.where(np.isnan(sd), position, sd)) / (trip.time[b] - trip.time[a]))
