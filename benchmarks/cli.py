@@ -18,6 +18,7 @@ from ..scenarios.errors import InputError
 from .commands.check import check
 from .commands.compare import compare
 from .commands.design import certify, design
+from .commands.inspect import inspect
 from .commands.new import app as new
 from .commands.replay import replay
 from .commands.report import plot, report
@@ -35,7 +36,7 @@ app = typer.Typer(
 for function, name in (
         (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (design, "design"),
         (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
-        (check, "check"), (compare, "compare"), (schema, "schema")):
+        (check, "check"), (inspect, "inspect"), (compare, "compare"), (schema, "schema")):
     app.command(name)(function)
 app.add_typer(new, name="new")
 

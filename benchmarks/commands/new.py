@@ -1,4 +1,6 @@
-"""`railstate new estimator|scenario NAME`: a package that works at once, from the templates beside the command line."""
+"""`railstate new estimator|scenario NAME`: a package that works at once, from the templates beside the command line.
+
+`railstate new recording`: small recordings to try the recorded setting with."""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ from ...estimators.registry import estimators, installed
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
 
-app = typer.Typer(no_args_is_help=True, help="Write a package for an estimator or a scenario of your own.")
+app = typer.Typer(no_args_is_help=True, help="Write a package for an estimator or a scenario, or recordings to try.")
 Name = Annotated[str, typer.Argument(help="Small letters, digits and hyphens, such as my-filter.")]
 Under = Annotated[Path, typer.Option("--in", metavar="FOLDER", help="Where the package's folder is made.")]
 
@@ -39,6 +41,23 @@ def scenario(name: Name, folder: Under = Path()) -> None:
     """A package with a setting (simulation and design model), its TOML file, a test, a README and an entry point."""
     made = _write("scenario", SCENARIO, name, {*settings(), *scenario_files()}, folder)
     print(f"{made}: written; now\n  pip install -e {made}\n  railstate run {name}")
+
+
+@app.command()
+def recording(folder: Under = Path()) -> None:
+    """Recordings of the suite's own making: a tram's trip, and a receiver's fixes with the line they run along."""
+    if not folder.is_dir():
+        raise InputError(f"--in {folder}: no such folder")
+    examples = sorted((item for item in (files("railstate.scenarios.recorded") / "examples").iterdir()),
+                      key=lambda item: item.name)
+    there = [item.name for item in examples if (folder / item.name).exists()]
+    if there:
+        raise InputError(f"{folder / there[0]}: exists already; choose another folder (--in FOLDER)")
+    for item in examples:
+        (folder / item.name).write_bytes(item.read_bytes())
+    print(f"{', '.join(str(folder / item.name) for item in examples)}: written; now\n"
+          f"  railstate inspect {folder / 'tram.csv'}\n"
+          f"  railstate inspect {folder / 'fixes.csv'} --track {folder / 'track.geojson'}")
 
 
 def _write(kind: str, layout: dict[str, str], name: str, taken: set[str], under: Path) -> Path:

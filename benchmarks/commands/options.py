@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -18,6 +19,19 @@ Sets = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE",
                                          help="Override a key of the scenario file, such as channel.p=0.3.")]
 Plugins = Annotated[list[str], typer.Option("--plugin", metavar="FILE.py",
                                             help="Use estimator classes of a loose file.")]
+Recording = Annotated[list[str], typer.Option("--recording", metavar="FILE",
+                                              help="Recorded trip for the recorded setting; several: several trips.")]
+Map = Annotated[str, typer.Option("--map", metavar="ROLE=COLUMN,..",
+                                  help="Columns of the recording: time=t_s,position=s_m,..")]
+Quality = Annotated[str, typer.Option("--quality", metavar="CLASS=SD,..",
+                                      help="What classes of a _sd column mean: m, m/s, or missing.")]
+Missing = Annotated[str, typer.Option("--missing", metavar="VALUE,..", help="Values that stand for none, as -9999.")]
+Track = Annotated[str, typer.Option("--track", metavar="FILE", help="GeoJSON line that latitude and longitude run "
+                                                                    "along; none: the recording's own path.")]
+From = Annotated[float | None, typer.Option("--from", help="Leave out what is before, s after the first row.")]
+To = Annotated[float | None, typer.Option("--to", help="Leave out what is after, s after the first row.")]
+Without = Annotated[list[str], typer.Option("--without", metavar="FROM..TO",
+                                            help="Leave out these seconds of the recording.")]
 
 Memory = Annotated[float, typer.Option("--memory", metavar="GB", min=0.0,
                                        help="Memory a plug-in's process may take (0: a share of the machine's).")]
@@ -58,3 +72,51 @@ def overrides(pairs: list[str], flag: str = "--set", example: str = "channel.p=0
             raise InputError(f"{flag} {pair}: expected KEY=VALUE, such as {example}")
         out[key.strip()] = value(text.strip())
     return out
+
+
+def meaning(columns: str, quality: str, missing: str, track: str, begin: float | None, end: float | None,
+            without: list[str]) -> dict[str, Any]:
+    """The flags that say what a recording means as overrides of the scenario. Raises InputError."""
+    changes: dict[str, Any] = {}
+    if columns:
+        changes["plant.map"] = _pairs("--map", columns, "ROLE=COLUMN", "time=t_s,position=s_gnss_m")
+    if quality:
+        pairs = _pairs("--quality", quality, "CLASS=SD", "NARROW_INT3=0.05,PROPAGATED=missing")
+        changes["plant.quality"] = {name: value(text) for name, text in pairs.items()}
+    if missing:
+        changes["plant.missing"] = [value(text) for text in names_in(missing)]
+    if track:
+        changes["plant.track"] = existing("--track", track)
+    if begin is not None or end is not None:
+        changes["plant.span"] = [begin or 0.0, 1e12 if end is None else end]
+    if without:
+        changes["plant.without"] = [_span(text) for text in without]
+    return changes
+
+
+def trips(paths: list[str]) -> dict[str, Any]:
+    """`--recording FILE`, given once or several times, as an override of the scenario. Raises InputError."""
+    found = [existing("--recording", path) for path in paths]
+    return {"plant.recording": found[0] if len(found) == 1 else found} if found else {}
+
+
+def existing(flag: str, path: str) -> str:
+    """The full path of a user's file. Raises InputError where there is none."""
+    if not Path(path).exists():
+        raise InputError(f"{flag} {path}: no such file")
+    return str(Path(path).resolve())
+
+
+def _pairs(flag: str, text: str, form: str, example: str) -> dict[str, str]:
+    pairs = {name: column for name, _, column in (pair.partition("=") for pair in names_in(text))}
+    if not pairs or not all(pairs.values()):
+        raise InputError(f"{flag} {text}: expected {form} pairs, such as {example}")
+    return pairs
+
+
+def _span(text: str) -> list[float]:
+    try:
+        begin, end = (float(part) for part in text.split(".."))
+    except ValueError:
+        raise InputError(f"--without {text}: expected FROM..TO in seconds, such as 205..240") from None
+    return [begin, end]

@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -16,7 +16,30 @@ from ..planning.plan import make_plan
 from ..running.runner import Machinery
 from ..studies.complete import complete, default_folder
 from ..telling.results import print_results
-from .options import Estimators, Jobs, Memory, Plugins, Runs, Seed, Sets, gigabytes, labels, names_in, overrides
+from .options import (
+    Estimators,
+    From,
+    Jobs,
+    Map,
+    Memory,
+    Missing,
+    Plugins,
+    Quality,
+    Recording,
+    Runs,
+    Seed,
+    Sets,
+    To,
+    Track,
+    Without,
+    existing,
+    gigabytes,
+    labels,
+    meaning,
+    names_in,
+    overrides,
+    trips,
+)
 
 
 def run(
@@ -33,9 +56,14 @@ def run(
     keep: Annotated[int, typer.Option(help="Keep the trajectories of the first N runs for figures.")] = 1,
     line: Annotated[str, typer.Option(help="Track file (TTOBench JSON) for the metro plant.")] = "",
     train: Annotated[str, typer.Option(help="Train file (TTOBench JSON) for the metro plant.")] = "",
-    recording: Annotated[str, typer.Option(help="Recorded trip (CSV or Parquet) for the recorded setting.")] = "",
-    map_: Annotated[str, typer.Option("--map", metavar="ROLE=COLUMN,..",
-                                      help="Columns of the recording: time=t_s,position=s_m,..")] = "",
+    recording: Recording = [],  # noqa: B006
+    map_: Map = "",
+    quality: Quality = "",
+    missing: Missing = "",
+    track: Track = "",
+    from_: From = None,
+    to: To = None,
+    without: Without = [],  # noqa: B006
     backend: Annotated[str, typer.Option(help="local, or a joblib cluster backend: dask, ray.")] = "local",
     scheduler: Annotated[str, typer.Option(help="Address of the cluster's scheduler.")] = "",
     timeout: Annotated[float, typer.Option(help="Seconds after which a task counts as hung.")] = 900.0,
@@ -45,7 +73,9 @@ def run(
         "--overwrite", help="Compute anew what the folder holds of this; replace another configuration.")] = False,
 ) -> None:
     """Run estimators on scenarios and print the tables."""
-    changes = {**overrides(set_), **_files(line, train, recording, map_)}
+    files = {f"plant.{name}": existing(f"--{name}", path) for name, path in (("line", line), ("train", train)) if path}
+    changes = {**overrides(set_), **files, **trips(recording),
+               **meaning(map_, quality, missing, track, from_, to, without)}
     if batch < 0 or jobs < 0:
         raise InputError("--batch and --jobs: must be 0 (chosen) or more")
     if not timeout > 0:
@@ -61,19 +91,3 @@ def run(
                           gigabytes(memory))
     command = shlex.join(["railstate", *sys.argv[1:]])
     print_results(complete(plan, folder, machinery, command, retry=again, overwrite=overwrite))
-
-
-def _files(line: str, train: str, recording: str, columns: str) -> dict[str, Any]:
-    """The flags for the user's own files as overrides of the scenario."""
-    changes: dict[str, Any] = {}
-    for key, value in (("plant.line", line), ("plant.train", train), ("plant.recording", recording)):
-        if value:
-            if not Path(value).is_file():
-                raise InputError(f"--{key.split('.')[1]} {value}: no such file")
-            changes[key] = str(Path(value).resolve())
-    if columns:
-        pairs = {role: name for role, _, name in (pair.partition("=") for pair in names_in(columns))}
-        if not all(pairs.values()):
-            raise InputError(f"--map {columns}: expected ROLE=COLUMN pairs, such as time=t_s,position=s_gnss_m")
-        changes["plant.map"] = pairs
-    return changes

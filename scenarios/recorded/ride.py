@@ -200,8 +200,8 @@ def _reading(recorded: Array, noise: float, random: RunRandom, runs: int) -> Arr
 
 
 def _sampled(time: Array, period: float) -> Mask:
-    """Which of the samples after the start (K, 1) are taken where there shall be one in `period` s: the first in each; 0:
-    all."""
+    """Which of the samples after the start (K, 1) are taken where there shall be one in `period` s: the first in each;
+    0: all."""
     if period <= 0:
         return np.ones((len(time) - 1, 1), dtype=bool)
     return (np.diff(np.floor((time - time[0]) / period + 1e-6)) > 0)[:, None]
