@@ -24,7 +24,9 @@ def load_group(group: str) -> dict[str, Any]:
     for point in entry_points(group=group):
         try:
             found[point.name] = point.load()
-        except Exception as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit too: an import does not end the command
             warnings.warn(f"plug-in {point.name} ({point.value}) is left out: {type(error).__name__}: {error}",
                           stacklevel=2)
     return found

@@ -32,6 +32,8 @@ IMPORT = 300.0
 """Seconds that the import of a plug-in may take."""
 LEAVING = 2.0
 """Seconds to wait for all that an ended process has started to be gone."""
+ANSWER = 60.0
+"""Seconds to wait for a guard's answer, which it has at once on a machine that is not overloaded."""
 
 
 class Ended(NamedTuple):
@@ -56,6 +58,8 @@ class _Nursery:
             environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
             for library in ("OPENBLAS", "OMP", "MKL"):  # a process with threads cannot be forked
                 environment[f"{library}_NUM_THREADS"] = "1"
+            environment["ARROW_DEFAULT_MEMORY_POOL"] = "system"
+            environment["JE_ARROW_MALLOC_CONF"] = "background_thread:false"
             program = "from railstate.benchmarks.isolation.server import main; main()"
             self._process = subprocess.Popen(
                 [sys.executable, "-c", program, str(theirs.fileno()), *IMPORTED], env=environment,
@@ -117,7 +121,8 @@ class Isolation:
             told = json.loads((frames := receive(task, until))[0], object_hook=lambda item: _table(item, frames))
             if not isinstance(told, dict) or not isinstance(told.get("heard"), list):
                 raise ValueError("an answer of another form")
-            life.settimeout(LEAVING)
+            task.settimeout(None)
+            life.settimeout(ANSWER)
             life.sendall(WORD.pack(b"?", 0))
             left = life.recv(1) != b"0"
         except TimeoutError:

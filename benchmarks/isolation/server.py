@@ -71,6 +71,7 @@ def main() -> None:
     _prctl(PR_SET_CHILD_SUBREAPER, 1)
     for module in sys.argv[2:]:
         importlib.import_module(module)
+    _warm()
     base, guards = _pages(os.getpid()), set[int]()
     wakes, writing = _wakes()
     while True:
@@ -83,7 +84,7 @@ def main() -> None:
                 _kill(pid)  # whose guard was killed
         if control not in ready:
             continue
-        message, descriptors, _, _ = socket.recv_fds(control, 64, 2)
+        message, descriptors, _, _ = socket.recv_fds(control, 1, 2)
         if not message:
             _all_gone()
             os._exit(0)
@@ -96,6 +97,18 @@ def main() -> None:
         guards.add(pid)
         for number in descriptors:
             os.close(number)
+
+
+def _warm() -> None:
+    """What each process would otherwise do for itself: import the suite's own estimators, fill numba's tables."""
+    from numba.core.registry import cpu_target
+
+    from ...estimators.registry import estimators
+
+    estimators()
+    target: Any = cpu_target
+    target.typing_context.refresh()
+    target.target_context.refresh()
 
 
 def _guard(task: socket.socket, life: socket.socket, base: int) -> NoReturn:

@@ -113,7 +113,11 @@ class Catalogue:
         """See `checked_parameters`."""
         if name in estimators():
             return checked_parameters(name, given, where, str(folder))
-        with self.process(name, IMPORT) as process:
+        file = self[name].file
+        several = bool(file) and sum(item.file == file for item in self._known.values()) > 1
+        # many classes of one file check theirs in the process that described them
+        owner = file if several else _owner(name, file)
+        with isolation(owner, IMPORT, first=partial(_load, file or name, bool(file))) as process:
             found = process.call(checked_parameters, name, dict(given), where, str(folder.resolve()))
         if isinstance(found, Ended) or not isinstance(found, dict):
             reason = found.reason if isinstance(found, Ended) else "they are no table"
