@@ -82,21 +82,9 @@ class Rewinding(Estimator):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         self.estimator.start(model, runs, random)
+        self._judged()
         self._past, self._stale, self._now = {}, None, (0, 0)
         self._next()
-
-    @property
-    def status(self) -> Any:
-        return self.estimator.status
-
-    @property
-    def reasons(self) -> dict[int, str]:
-        return self.estimator.reasons
-
-    @property
-    def rejected(self) -> Mask | None:
-        """What the estimator itself says of the latest measurement."""
-        return getattr(self.estimator, "rejected", None)
 
     def reveal(self, truth: Array) -> None:
         self._catch_up()
@@ -115,6 +103,7 @@ class Rewinding(Estimator):
             entry = self._next()
         entry.prediction = (u.copy(), interval)
         self.estimator.predict(u, interval)
+        self.status, self.reasons = self.estimator.status, self.estimator.reasons
 
     def update(self, measurement: Measurement) -> Innovation | None:
         at = measurement.step, measurement.event
@@ -127,7 +116,9 @@ class Rewinding(Estimator):
             else:
                 entry = self._past[newest]
             entry.measurement = _merged(entry.measurement, measurement)
-            return self.estimator.update(measurement)
+            innovation = self.estimator.update(measurement)
+            self._judged()
+            return innovation
         entry = self._past.get(at)
         if entry is not None:
             entry.measurement = _merged(entry.measurement, measurement)
@@ -149,6 +140,11 @@ class Rewinding(Estimator):
     def snapshot(self) -> Any:
         self._catch_up()
         return super().snapshot()
+
+    def _judged(self) -> None:
+        """Have the estimator's own verdicts at hand: runs that failed, readings it discounted."""
+        self.status, self.reasons = self.estimator.status, self.estimator.reasons
+        self.rejected = self.estimator.rejected
 
     def _next(self) -> _Entry:
         """A new event; what is older than `depth` steps is forgotten."""
@@ -172,6 +168,7 @@ class Rewinding(Estimator):
                 self.estimator.predict(*entry.prediction)
             if entry.measurement is not None:
                 self.estimator.update(entry.measurement)
+        self.status, self.reasons = self.estimator.status, self.estimator.reasons
 
 
 def _merged(old: Measurement | None, new: Measurement) -> Measurement:

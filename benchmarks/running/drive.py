@@ -17,6 +17,7 @@ from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
+from ..scoring.faults import FaultScores
 from ..scoring.innovations import InnovationScore
 from ..scoring.requirements import RequirementScores
 from ..scoring.scorer import Scored, Scorer
@@ -54,11 +55,13 @@ class _Scoring(Observer):
         self.requirements = RequirementScores(setting.config.requirements, setting.quantities(), self.runs, world.steps)
         self.predicted_wanted = score.at == "prediction" and estimator.predicts
         self.updated_wanted = not self.predicted_wanted
+        self.faults, self.estimator = FaultScores(setting.config.faults, setting.quantities(), self.runs), estimator
         self.k, self.good = 0, tuple[Any, ...]()
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
         begun, k = perf_counter(), self.k
         self.scorer.add(k, self._checked(estimate, step), step)
+        self.faults.add(estimate, step)
         if k >= self.skip:
             self.windows.add(estimate, step)
             self.requirements.add(k, estimate, step)
@@ -72,6 +75,7 @@ class _Scoring(Observer):
         begun = perf_counter()
         if measurement.step == step.number:  # a late one tells of its own step
             self.innovations.add(self.k, step.active, measurement, innovation)
+            self.faults.judged(step, measurement, self.estimator.rejected)
         self.seconds += perf_counter() - begun
 
     def _checked(self, estimate: Estimate, step: Step) -> Estimate:
@@ -107,7 +111,8 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     bad = found.status != 0
     found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})
     found.curves["nis"], found.curves["nis-count"] = scoring.innovations.curve.T
-    outcomes = {**scoring.windows.finish(), **scoring.requirements.finish(), **setting.outcomes(world, found.metrics)}
+    outcomes = {**scoring.windows.finish(), **scoring.requirements.finish(), **scoring.faults.finish(),
+                **setting.outcomes(world, found.metrics)}
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}

@@ -11,8 +11,10 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, model_validator
 
 from ...scenarios.schema import Label, Name
+from ...scenarios.setting import Setting
 from ..planning.catalogue import Catalogue
 from ..planning.plan import Cell, EstimatorEntry, Plan
+from ..scoring.faults import fault_table
 
 SCHEMA = 2
 """Version of the folder's layout and of this file's keys."""
@@ -180,7 +182,7 @@ def description(plan: Plan) -> dict[str, Any]:
             "title": config.title, "source": config.source, "kind": setting.kind,
             "scored": config.score.at,
             "shown": {**setting.shown, **{item.name: item.shown for item in setting.quantities() if item.shown}},
-            "quantities": [item.name for item in setting.quantities()], "table": setting.table(), "variants": {}})
+            "quantities": [item.name for item in setting.quantities()], "table": _table(setting), "variants": {}})
         about["variants"][cell.variant] = {"notes": setting.notes, "fitted": config.fitted, "title": config.title,
                                            "period": setting.sampling_period}
     plugins = {entry.plugin: plan.catalogue[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
@@ -193,3 +195,8 @@ def description(plan: Plan) -> dict[str, Any]:
                        "entries": {label: entry.model_dump() for label, entry in cell.entries.items()}}
             for cell in plan.cells}},
     }
+
+
+def _table(setting: Setting[Any]) -> tuple[tuple[str, str], ...]:
+    """(metric, quantity) pairs that tables show: the setting's own, and what became of runs with faults."""
+    return *setting.table(), *fault_table(setting.config.faults, setting.quantities())

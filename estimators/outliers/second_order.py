@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ...scenarios.arrays import Array
@@ -41,14 +43,15 @@ class SecondOrderKalman(ExtendedKalman):
         h = np.ascontiguousarray(jacobian(x, at))
         shift, spread = self._curvature(lambda there: jacobian(there, at), len(y))
         predicted = np.ascontiguousarray(model.measurement(x, at)) + shift
-        r = model.measurement_covariance(measurement)
+        r = np.ascontiguousarray(model.measurement_covariance(measurement))
         if spread.any():
-            r = r + spread
-        if kalman_update(x, self._covariance, y, predicted, received, h, r, self._failed):
+            r = np.ascontiguousarray(r + spread)
+        if kalman_update(x, self._covariance, y, predicted, received, h, r, self._residual, self._variance,
+                         self._failed):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return None
+        return Innovation(self._residual, self._variance)
 
-    def _curvature(self, jacobian: object, rows: int) -> tuple[Array, Array]:
+    def _curvature(self, jacobian: Callable[[Array], Array], rows: int) -> tuple[Array, Array]:
         """1/2 tr(H_i P) (rows, S) and 1/2 tr(H_i P H_j P) (rows, rows, S) of the function with that Jacobian of x."""
         x, P, n = self._mean, self._covariance, len(self._mean)
         hessian = np.zeros((rows, n, n, self.runs))
@@ -57,7 +60,7 @@ class SecondOrderKalman(ExtendedKalman):
             ahead, behind = x.copy(), x.copy()
             ahead[c] += step
             behind[c] -= step
-            there, back = jacobian(ahead), jacobian(behind)  # pyright: ignore[reportCallIssue]
+            there, back = jacobian(ahead), jacobian(behind)
             hessian[:, :, c] = (there - back) / (ahead[c] - behind[c])
         if not hessian.any():
             return np.zeros((rows, self.runs)), np.zeros((rows, rows, self.runs))

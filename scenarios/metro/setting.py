@@ -14,6 +14,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import InputError
+from ..faults import Jump
 from ..measurement import Interval
 from ..measurement import told as told_covariance
 from ..model import Bounds, DesignModel
@@ -117,11 +118,18 @@ class Metro(Setting[MetroConfig]):
                 return whole
             return np.broadcast_to(np.asarray(interval.length, dtype=float), (runs,)).copy()
 
+        jumps = [fault for fault in self.config.faults if isinstance(fault, Jump) and fault.truth]
+
         def transition(x: Array, u: Array, interval: Interval) -> Array:
             points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
+            moved = sum((jump.shift(interval.start) for jump in jumps), np.zeros(1)) if jumps else None
+            if moved is not None:  # the vehicle has jumped: so have the coordinates of the line under it
+                points = np.stack([points[0] - moved, points[1]])
             out = np.empty_like(points)
             compiled.transition(points, u[0], seconds(interval, x.shape[-1]), forces, slope, np.empty(points.shape[1:]),
                                 out)
+            if moved is not None:
+                out[0] += moved
             return out.reshape(x.shape)
 
         def jacobian(x: Array, u: Array, interval: Interval) -> Array:
