@@ -39,7 +39,7 @@ class BootstrapParticle(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         self._random, self._log_likelihood = random, np.zeros(runs)
-        self._failed = np.zeros(runs, dtype=bool)
+        self._failed, self._degenerate = np.zeros(runs, dtype=bool), np.zeros(runs)
         self._particles = np.repeat(model.initial_mean[:, None, :], self.parameters.particles, axis=1)
         everyone = np.ones(runs, dtype=bool)
         self._diffuse(model.initial_covariance, everyone)
@@ -67,12 +67,18 @@ class BootstrapParticle(Estimator):
         r = np.ascontiguousarray(model.measurement_covariance(measurement))
         if _weigh(images, y, received, r, self._logs, self._weights, self._log_likelihood, self._failed):
             flag(self, self._failed, Status.failed, "no particle has a finite likelihood")
+        _count_degenerate(self._weights, told, model.nx + 1, self._degenerate)
         self._moments(told)
         _resample(self._particles, self._logs, self._weights, offset, self.parameters.resample_below)
         return Innovation(log_likelihood=self._log_likelihood)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)
+
+    def counters(self) -> dict[str, Array]:
+        """Measurements that left fewer effective particles than it takes to span the state: their covariance is the
+        accident of a few points, whatever the status says."""
+        return {"degenerate": self._degenerate}
 
     def _diffuse(self, covariance: Array, moving: Mask) -> None:
         """Add normal noise of this covariance (nx, nx, S or 1) to the particles of the runs `moving` (S,)."""
@@ -89,6 +95,17 @@ class BootstrapParticle(Estimator):
         _weighted(self._particles, self._weights, mean, covariance)
         self._mean = np.where(which, mean, self._mean)
         self._covariance = np.where(which, covariance, self._covariance)
+
+
+@kernel
+def _count_degenerate(weights, told, least, count):
+    """count (S,) += 1 for runs of `told` (S,) with fewer effective particles, 1 / sum w^2, than `least`."""
+    for s in range(weights.shape[1]):
+        square = 0.0
+        for i in range(weights.shape[0]):
+            square += weights[i, s] * weights[i, s]
+        if told[s] and square * least > 1.0:
+            count[s] += 1.0
 
 
 @kernel

@@ -10,6 +10,8 @@ import numpy as np
 from ...estimators.kernels.core import factorise, forward, gather3, kernel, tile_width
 
 LANES = 8
+NO_ERROR = 1e-12
+"""A squared error under this share of a variance is none: a hundred times what counts as no variance beside it."""
 
 
 @kernel
@@ -166,7 +168,8 @@ def accumulate_curves(step, live, last, steps, curve):
 
 @kernel
 def quadratic_forms(vector, truth, matrix, out, lost):
-    """out[s] = e' M^-1 e, e = vector - truth in the first n elements, by Cholesky; NaN where M is singular.
+    """out[s] = e' M^-1 e, e = vector - truth in the first n elements, by Cholesky. Where M is singular: infinite if e
+    leaves the directions that M allows for, else NaN (nothing to be judged).
 
     vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where M is indefinite or not finite."""
     n, runs = matrix.shape[0], truth.shape[1]
@@ -204,6 +207,23 @@ def quadratic_forms(vector, truth, matrix, out, lost):
             for s in range(count):
                 value = total[s] + row[s] * row[s]
                 total[s] = value if scale[s] > 0.0 else np.nan
+        for s in range(count):
+            if total[s] != total[s] and not failed[s]:
+                total[s] = _singular_form(vector, truth, matrix, factor, inverse, error, first, s)
+
+
+@kernel
+def _singular_form(vector, truth, matrix, factor, inverse, error, first, s):
+    """Infinite where run first + s errs in a direction in which its M claims no uncertainty, else NaN; factor,
+    inverse, error (n, 1, ..): as they stand after `forward`."""
+    for i in range(matrix.shape[0]):
+        if inverse[i, s] == 0.0:
+            rest = vector[i, first + s] - truth[i, first + s]
+            for k in range(i):
+                rest -= factor[i, k, s] * error[k, 0, s]
+            if rest * rest > NO_ERROR * matrix[i, i, 0 if matrix.shape[2] == 1 else first + s]:
+                return np.inf
+    return np.nan
 
 
 @kernel

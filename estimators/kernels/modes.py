@@ -70,7 +70,7 @@ def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
                 for k in range(c):
                     P[j, i, k] = P[i, j, k]
     loglik[:c] = 0.0
-    volume = np.ones(c)  # det S, so that one logarithm a child is enough
+    volume = np.ones(c)  # a part of det S: one logarithm does for four rows, and their product stays a number
     for a in range(len(yw)):
         for k in range(c):
             e[k], gain[k] = yw[a], 1.0
@@ -100,8 +100,10 @@ def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
                 if j < i:
                     for k in range(c):
                         P[j, i, k] = P[i, j, k]
-    for k in range(c):
-        loglik[k] -= 0.5 * np.log(volume[k])
+        if a % 4 == 3 or a == len(yw) - 1:
+            for k in range(c):
+                loglik[k] -= 0.5 * np.log(volume[k])
+                volume[k] = 1.0
 
 
 @njit(cache=True)

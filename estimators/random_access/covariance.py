@@ -42,6 +42,10 @@ class Covariance:
         self._spread: dict[int, Array] = {}
         self._updated: dict[int, tuple[Array, Covariance]] = {}
 
+    def __deepcopy__(self, memo: object) -> Covariance:
+        """Itself: nothing of it ever changes but what is known to follow, a chain as long as the trip."""
+        return self
+
     def predicted(self, k: int) -> Covariance:
         """From step k to k + 1."""
         if k not in self._predicted:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..kernels.core import kernel
+from .gain import best_gain
 from .raw import raw_measurement
-from .small import TINY, contraction, factorise_one, solve_one
+from .small import TINY, contraction
 
 TOLERANCE = 1e-10
 """Relative fall of the objective at which the alternation ends. Any multipliers give a valid bound: ending is safe."""
@@ -113,37 +114,6 @@ def _spread(L, p, c2, sigma, M, g, share, S):  # pyright: ignore
 
 
 @kernel
-def _noise(R, share, offset, ellipsoid, j, k):  # pyright: ignore
-    """Entry (j, k) of R~: R itself, or for the ellipsoid diag(v_bar^2 / share)."""
-    if not ellipsoid:
-        return R[j, k]
-    return R[j, j] / share[offset + j] if j == k else 0.0
-
-
-@kernel
-def _gain(S, C, m, R, share, offset, ellipsoid, V, K):  # pyright: ignore
-    """K = S C'(C S C' + R~)^-1. False where the innovation's matrix is singular."""
-    n = S.shape[0]
-    for i in range(n):
-        for j in range(m):
-            total = 0.0
-            for k in range(n):
-                total += S[i, k] * C[j, k]
-            K[i, j] = total
-    for j in range(m):
-        for l in range(j + 1):
-            total = _noise(R, share, offset, ellipsoid, j, l)
-            for k in range(n):
-                total += C[j, k] * K[k, l]
-            V[j, l] = total
-    if not factorise_one(V, m):
-        return False
-    for i in range(n):
-        solve_one(V, m, K[i])
-    return True
-
-
-@kernel
 def _complement(K, C, m, G):  # pyright: ignore
     """G = I - K C."""
     n = G.shape[0]
@@ -204,7 +174,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
     L, S, G, V, a, b = np.empty((6, n, n))
     W, Cr, Rr, k, at = np.empty((ny, ny)), np.empty((ny, n)), np.empty((ny, ny)), np.empty((n, ny)), np.empty((n, n))
     p, row, scaled, u, g = np.empty(n), np.empty(max(n, ny)), np.empty(n), np.empty((n, nw)), np.empty((n, nw))
-    columns, raw_gain = np.empty((n, 2 + nw)), np.empty((n, n))
+    columns, raw_gain, tall = np.empty((n, 2 + nw)), np.empty((n, n)), np.empty((n + 2 + nw + ny, ny + n))
     root, share, rows = np.empty(1 + nw + ny), np.empty(1 + nw + ny), np.empty(ny, dtype=np.int64)
     for s in range(runs):
         sa, sc, sg, m = s if A.shape[2] > 1 else 0, s if C.shape[2] > 1 else 0, s if gw.shape[2] > 1 else 0, 0
@@ -265,7 +235,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
             if c2 > 0.0:
                 sigma = best if turn == 0 else min(max(_relaxed(sigma, best), c2 / FAR), c2 * FAR)
             _spread(L, p, c2, sigma, M, g, share, S)
-            good = _gain(S, Cr, m, Rr, share, 1 + nw, ellipsoid, W, k)
+            good = best_gain(S, L, p, c2, sigma, M, g, Cr, m, Rr, share, ellipsoid, W, tall, k)
             if not good:
                 break
         if not (good and now < 1e100 and c2 < 1e100):

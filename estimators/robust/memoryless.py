@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..kernels.core import kernel
-from .small import TINY, contraction, factorise_one, largest_eigenvalue, solve_one
+from .small import SMALLEST_PIVOT, TINY, contraction, factorise_one, largest_eigenvalue, solve_one
 
 
 @kernel
@@ -42,7 +42,7 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         for j in range(n):
             H[i, j] = Q0[i, j] + g0[i] * g0[j] / beta
         H[i, i] += 1e-14 * scale
-    if factorise_one(H, n):
+    if factorise_one(H, n, SMALLEST_PIVOT):
         solve_one(H, n, slope)
         total = 0.0
         for i in range(n):
@@ -88,7 +88,7 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         for i in range(n):
             slope[i] = weight * slope[i] + 2.0 * nu * g[i] - 2.0 / beta * (g0[i] - g[i])
             trial[i] = -slope[i]
-        if factorise_one(H, n):
+        if factorise_one(H, n, SMALLEST_PIVOT):
             solve_one(H, n, trial)
         descent = 0.0
         for i in range(n):
@@ -164,7 +164,7 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
         finite = np.isfinite(nu)
         for i in range(n):
             finite &= np.isfinite(S[i, i])
-        good = finite and factorise_one(V, m)
+        good = finite and factorise_one(V, m, SMALLEST_PIVOT)
         if good:
             beta = 0.0
             for i in range(n):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..kernels.core import kernel
-from .small import factorise_one, invert
+from .small import SMALLEST_PIVOT, factorise_one, invert
 
 
 @kernel
@@ -23,7 +23,7 @@ def raw_measurement(L, g, C, R, K, G, V, u, row):  # pyright: ignore
     for i in range(n):
         for j in range(i + 1):
             V[i, j] = L[i, j]
-    if not factorise_one(V, n):
+    if not factorise_one(V, n, SMALLEST_PIVOT):
         return False
     # Rows of G: Y V^-T, so that |row|^2 is y' L^-1 y; h_j = V^-1 g_j likewise.
     for i in range(n):

@@ -15,8 +15,9 @@ SMALLEST_PIVOT = 1e-13
 
 
 @kernel
-def factorise_one(V, m):  # pyright: ignore
-    """Cholesky factor of the leading (m, m) block of V, in place in its lower triangle. False where V is not PD."""
+def factorise_one(V, m, least):  # pyright: ignore
+    """Cholesky factor of the leading (m, m) block of V, in place in its lower triangle. False where V is not PD: a
+    pivot is not above `least` of its diagonal entry."""
     for i in range(m):
         scale = V[i, i]
         for j in range(i + 1):
@@ -24,7 +25,7 @@ def factorise_one(V, m):  # pyright: ignore
             for k in range(j):
                 total -= V[i, k] * V[j, k]
             if i == j:
-                if not (total > SMALLEST_PIVOT * scale):
+                if not (total > least * scale):
                     return False
                 V[i, i] = np.sqrt(total)
             else:

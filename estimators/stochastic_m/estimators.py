@@ -17,7 +17,7 @@ from .. import mode_grid as transitions
 from ..interface import used_with
 from .cloud import CloudParameters, GridParticles
 
-POLICY = "prune A: after an expansion beyond Q; B: when the next would go beyond Q; C: every step"
+POLICY = "prune A: after an expansion that reaches Q; B: when the next would go beyond Q; C: every step"
 STAY = "probability of keeping the value under the sticky prior; the rest goes to the two neighbours"
 
 
@@ -95,7 +95,7 @@ class StochasticM(GridParticles):
 
     def goes_on(self, children: int, g: int) -> int:
         chosen = self.parameters
-        beyond = {"A": children > chosen.limit, "B": children * g > chosen.limit, "C": True}[chosen.policy]
+        beyond = {"A": children >= chosen.limit, "B": children * g > chosen.limit, "C": True}[chosen.policy]
         return chosen.particles if beyond and children > chosen.particles else 0
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Infeasible
-from .lmi import Certificate, ErrorSystem, Multipliers, solve_problem, symmetric, ultimate_bound
+from .lmi import Certificate, ErrorSystem, Multipliers, ultimate_bound
+from .solving import WORST, solve_problem, symmetric, violation
 
 SLOWER, FASTER = (0.985, 0.99, 0.995, 0.999, 0.9999), (0.97, 0.95, 0.9, 0.8, 0.6, 0.3)
 """Decays tried in turn from 0.98 on: until the bound is kept, until it no longer is."""
@@ -123,6 +124,9 @@ def corollary2(system: ErrorSystem, varpi: float, T: Array, *, solver: str = "CL
     if status != "optimal" or R.value is None or Y.value is None or gamma.value is None:
         raise Infeasible(f"Corollary 2 has no solution at varpi = {varpi:g} in these coordinates ({solver}: {status}; "
                          "constraints (32) to (34)); try T = P^(1/2) of a Corollary 1 solution, or a larger varpi")
+    worst = max(violation(lmi.value), violation(weight.value))
+    if worst > WORST:
+        raise Infeasible(f"Corollary 2: {solver} says optimal, but constraints (32), (34) are violated by {worst:.1e}")
     K = inverse @ np.linalg.solve(R.value, Y.value) * rows
     return Decay(float(gamma.value), K, solver, status, perf_counter() - begun)
 

@@ -23,7 +23,7 @@ from ..design_cache import remember
 from ..interface import Estimate, Estimator, Parameters
 from ..kernels.core import apply
 from . import decay as lmi_decay
-from . import lmi
+from . import lmi, solving
 from .gains import read_gain
 from .lmi import Certificate, ErrorSystem, Multipliers
 from .system import NEEDS, THETA, error_system
@@ -210,5 +210,5 @@ def _plain(value: Any) -> Any:
 
 def _code() -> dict[str, str]:
     """What solves the problems: another version of it is another design."""
-    source = b"".join(Path(str(module.__file__)).read_bytes() for module in (lmi, lmi_decay))
+    source = b"".join(Path(str(module.__file__)).read_bytes() for module in (lmi, lmi_decay, solving))
     return {"source": hashlib.sha256(source).hexdigest(), "cvxpy": version("cvxpy"), "clarabel": version("clarabel")}

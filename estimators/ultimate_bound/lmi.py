@@ -4,7 +4,6 @@ Numpy in, dataclass out; cvxpy is imported only when a problem is solved. No sol
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Literal
@@ -13,6 +12,7 @@ import numpy as np
 
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Infeasible
+from .solving import WORST, solve_problem, symmetric, violation
 
 Multipliers = Literal["scalar", "free"]
 
@@ -56,8 +56,9 @@ class ErrorSystem:
 class Certificate:
     """E |M e(k)|^2 <= theta^k (..) + bound for gain K (nx, ny), predictor form (eq. (31)), by V = e' P e.
 
-    residual: largest eigenvalue of the solved LMI over its largest absolute one (0 or below: satisfied to the last
-    digit). seconds: the solver's and the modelling time together. status, solver: as the solver tells them."""
+    residual: how far the worst of its matrix inequalities is violated by the P and the gain handed out: the eigenvalue
+    on the wrong side over the largest absolute one (0 or below: satisfied to the last digit). seconds: the solver's and
+    the modelling time together. status, solver: as the solver tells them."""
 
     theta: float
     bound: float
@@ -114,12 +115,12 @@ def _certificate(system: ErrorSystem, theta: float, K: Array | None, multipliers
         form = _Form(system, theta, K, multipliers, ladder)
         status = solve_problem(form.least_bound(), solver)
         if status == "optimal":
+            gain = form.settle() if K is None else K
             residual = form.residual()
-            if residual < 1e-6:
-                gain = form.gain() if K is None else K
+            if residual < WORST:
                 return Certificate(theta, form.value / (1 - theta), gain, form.lyapunov(), solver, status,
                                    perf_counter() - begun, residual)
-            status = f"optimal, but its LMI is violated by {residual:.1e}"
+            status = f"optimal, but its matrix inequalities are violated by {residual:.1e}"
         statuses.append(status)
         if ladder == scales[0]:
             excess = _Form(system, theta, K, multipliers, ladder).least_excess(solver)
@@ -169,7 +170,8 @@ class _Form:
         self.one: Any = None if free else ladder * cp.Variable(nonneg=True)
         self.two: Any = (cp.Variable(int(pushing.sum()), nonneg=True) if free else cp.Variable(nonneg=True)
                          ) if pushing.any() else 0.0
-        self.ladder, self.conditions, self.parts = ladder, [], []
+        self.ladder, self.parts = ladder, []
+        self.positive: list[Any] = []  # what must be positive semi-definite besides the LMI itself
         cost: Any = cp.sum(self.two)
         for basis in self.bases:
             part, noise = self._part(whole.within(*basis))
@@ -181,17 +183,18 @@ class _Form:
         """The LMI of one sector, and its noise term of the objective."""
         cp, K = self.cp, self.K
         A, C, E, (nx, nf) = scaled.A, scaled.C, scaled.E, scaled.E.shape
-        P: Any = cp.Variable((nx, nx), symmetric=True)
-        Y: Any = P @ K if K is not None else cp.Variable((nx, len(C)))
-        self.conditions.append(P >> scaled.MM)
+        P: Any = cp.Variable((nx, nx), symmetric=True, name="P")
+        Y: Any = P @ K if K is not None else cp.Variable((nx, len(C)), name="Kcal")
+        self.positive.append(P - scaled.MM)
         means = np.zeros(len(C))
-        second, noise, arriving = np.zeros((nx, nx)), 0.0, []
+        second, noise, arriving, scatter = np.zeros((nx, nx)), 0.0, [], []
         for node in self.nodes:
             own = list(node.elements) or list(range(len(C)))
             means[own] = node.mean
             if K is None:
-                W: Any = cp.Variable((len(own), len(own)), symmetric=True)
-                self.conditions.append(cp.bmat([[W, Y[:, own].T], [Y[:, own], P]]) >> 0)
+                W: Any = cp.Variable((len(own), len(own)), symmetric=True, name="W")
+                self.positive.append(symmetric(cp.bmat([[W, Y[:, own].T], [Y[:, own], P]])))
+                scatter.append((W, own))
             else:
                 W = K[:, own].T @ P @ K[:, own]
             arriving.append(C[own].T @ W @ C[own])
@@ -207,7 +210,7 @@ class _Form:
             Lam: Any = None if self.one is None else self.one * scaled.unit
             if Lam is None:
                 shape: Any = cp.Variable((nx, nx), symmetric=True)
-                self.conditions.append(shape >> 0)
+                self.positive.append(shape)
                 Lam = 100 * self.ladder * shape
             hit = Y @ C
             cross = self.nodes[0].mean * arriving[0] - A.T @ hit
@@ -218,11 +221,15 @@ class _Form:
             limit = cp.diag(self.two) if self.one is None else self.two * np.eye(nf)
             blocks = [[*row, block] for row, block in zip(blocks, forced, strict=True)]
             blocks.append([*[block.T for block in forced], E.T @ P @ E - limit])
-        return _Part(P, Y, decay, symmetric(cp.bmat(blocks))), noise
+        return _Part(P, Y, scatter, decay, symmetric(cp.bmat(blocks))), noise
 
     def least_bound(self) -> Any:
         """Corollary 1 (26), or the same objective for a given gain."""
-        return self.cp.Problem(self.cp.Minimize(self.cost), [*self.conditions, *(p.whole << 0 for p in self.parts)])
+        return self.cp.Problem(self.cp.Minimize(self.cost), [*self._conditions, *(p.whole << 0 for p in self.parts)])
+
+    @property
+    def _conditions(self) -> list[Any]:
+        return [matrix >> 0 for matrix in self.positive]
 
     @property
     def value(self) -> float:
@@ -235,17 +242,28 @@ class _Form:
         -1 (the least allowed) or below 0: it has one; NaN: this problem was not solved either."""
         excess: Any = self.cp.Variable()
         margins = [part.decay << excess * np.eye(part.decay.shape[0]) for part in self.parts]
-        problem = self.cp.Problem(self.cp.Minimize(excess), [*self.conditions, *margins, excess >= -1])
+        problem = self.cp.Problem(self.cp.Minimize(excess), [*self._conditions, *margins, excess >= -1])
         return float(excess.value) if solve_problem(problem, solver) == "optimal" else np.nan
 
-    def residual(self) -> float:
-        spectra = [np.linalg.eigvalsh(part.whole.value) for part in self.parts]
-        return max(float(values[-1] / np.abs(values).max()) for values in spectra)
-
-    def gain(self) -> Array:
-        gain = sum(U @ np.linalg.solve(part.P.value, part.Y.value) @ V.T
-                   for part, (U, V, _) in zip(self.parts, self.bases, strict=True))
+    def settle(self) -> Array:
+        """The gain K = P^-1 Kcal, with which Kcal := P K and W := K'P K replace what the solver left: what is checked
+        and handed out from now on is what this very gain does."""
+        gain = np.zeros((len(self.t), len(self.rows)))
+        for part, (U, V, _) in zip(self.parts, self.bases, strict=True):
+            P = part.P.value
+            K = np.linalg.lstsq(P, part.Y.value)[0]  # a singular P is found by `residual`
+            part.Y.value = P @ K
+            for W, own in part.scatter:
+                root = K[:, own].T @ P @ K[:, own]
+                W.value = (root + root.T) / 2
+            gain += U @ K @ V.T
         return gain / self.t[:, None] * self.rows
+
+    def residual(self) -> float:
+        """The worst violation of the LMIs, of P >= M'M, of the W blocks and of the multipliers' signs."""
+        definite = [-part.P.value for part in self.parts]
+        return max(map(violation, [*(part.whole.value for part in self.parts), *definite,
+                                   *(-matrix.value for matrix in self.positive)]))
 
     def lyapunov(self) -> Array:
         P = sum(U @ part.P.value @ U.T for part, (U, _, _) in zip(self.parts, self.bases, strict=True))
@@ -254,10 +272,11 @@ class _Form:
 
 @dataclass(frozen=True)
 class _Part:
-    """Variables and left-hand sides of one sector."""
+    """Variables and left-hand sides of one sector; scatter: W of each node, and its measurement elements."""
 
     P: Any
     Y: Any
+    scatter: list[tuple[Any, list[int]]]
     decay: Any
     whole: Any
 
@@ -305,22 +324,3 @@ def _basis(order: list[int], sign: float) -> Array:
 def _whole(node: Node) -> Node:
     """The node, holding whatever elements there are."""
     return Node((), node.mean, node.spread, node.variance, node.largest)
-
-
-def symmetric(block: Any) -> Any:
-    """The same block matrix, symmetric to the modelling language as well."""
-    return (block + block.T) / 2
-
-
-def solve_problem(problem: Any, solver: str) -> str:
-    """Solve a cvxpy problem and return the status; a solver that gives up is a status too, never an exception."""
-    from cvxpy.error import SolverError
-
-    options = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iters": 30_000} if solver == "SCS" else {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "may be inaccurate": the status says so, and it is looked at
-        try:
-            problem.solve(solver=solver, **options)
-        except SolverError:
-            return "solver_error"
-    return str(problem.status)

@@ -20,6 +20,7 @@ from ..measurement import told as told_covariance
 from ..model import Bounds, DesignModel
 from ..observation import observe
 from ..railway import dynamics as compiled
+from ..railway.curvature import pieces, slope_change
 from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
 from ..schema import ScenarioConfig
@@ -110,7 +111,7 @@ class Metro(Setting[MetroConfig]):
         """The plant without its disturbance; for bounds the linearisation error of M = [T/2, 1]', N = [0, kappa]."""
         told: Knowledge = self.resolve_knowledge(knowledge)
         train, line, period = self.config.plant.train, self.config.plant.line, self.config.time.period
-        forces, slope = train.forces, line.slope(train.rotating)
+        forces, slope, curves = train.forces, line.slope(train.rotating), pieces(train.forces)
         whole = np.full(initial_mean.shape[1], period)
 
         def seconds(interval: Interval, runs: int) -> Array:
@@ -153,7 +154,7 @@ class Metro(Setting[MetroConfig]):
         def kappa(x: Array, u: Array, Pi: Array) -> Array:
             out = np.full(x.shape[1], told.kappa or 0.0)
             if told.kappa is None:
-                compiled.slope_change(x[1], u[0], Pi, period, forces, out)
+                slope_change(x[1], u[0], Pi, period, forces, curves, out)
             return out
 
         gain = np.array([[0.5 * period**2], [period]])

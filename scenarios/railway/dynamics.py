@@ -137,20 +137,6 @@ def transition_jacobian(v, u, h, forces, out):  # pyright: ignore
         out[1, 1, r] = 1.0 + h[r] * d
 
 
-@njit(cache=True, error_model="numpy")
-def slope_change(v, u, Pi, h, forces, out):  # pyright: ignore
-    """kappa, out (S,): h times the largest change of da/dv within the error bound, at v^ + q sqrt(Pi_22).
-
-    The page takes q = +-0.5, +-1."""
-    for r in range(v.shape[0]):
-        e = np.sqrt(max(Pi[1, 1, r if Pi.shape[2] > 1 else 0], 0.0))
-        here = damping(v[r], u[r], forces)
-        most = 0.0
-        for q in (-1.0, -0.5, 0.5, 1.0):
-            most = max(most, abs(damping(v[r] + q * e, u[r], forces) - here))
-        out[r] = h * most
-
-
 def slope_grid(positions: Array, gradients: Array, rotating: float) -> Slope:
     """The gradient (m/m) from each position (m) on as a `Slope`. Positions strictly increase by at least 0.1 m."""
     steep = GRAVITY * gradients / (1 + rotating)

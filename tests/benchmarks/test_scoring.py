@@ -98,8 +98,34 @@ def test_quadratic_forms(runs: int, shared: bool) -> None:
     np.testing.assert_allclose(out, expected, rtol=1e-9)
     assert not lost.any()
     singular = np.zeros((4, 4, 1))
+    quadratic_forms(vector, vector, singular, out, lost)
+    assert np.isnan(out).all() and not lost.any()  # no claim, no error: nothing to be judged
     quadratic_forms(vector, truth, singular, out, lost)
+    assert np.isposinf(out).all() and not lost.any()
+
+
+def test_a_claim_without_uncertainty_where_there_is_an_error_is_infinitely_too_sure() -> None:
+    rng = np.random.default_rng(3)
+    root = np.eye(3)[:, :, None] + 0.2 * rng.normal(size=(3, 3, 50))
+    root = np.concatenate([root, root[:1]])  # the last state is the first: rank 3
+    matrix = np.einsum("ijs,kjs->iks", root, root)
+    allowed = rng.normal(size=(4, 50))
+    allowed[3] = allowed[0]
+    out, lost, zero = np.empty(50), np.zeros(50, dtype=bool), np.zeros((4, 50))
+    quadratic_forms(allowed, zero, matrix, out, lost)
     assert np.isnan(out).all() and not lost.any()
+    quadratic_forms(allowed + 1e-3 * rng.normal(size=(4, 50)), zero, matrix, out, lost)
+    assert np.isposinf(out).all() and not lost.any()
+
+
+def test_infinite_nees_reaches_the_metrics() -> None:
+    scorer = Scorer((Quantity("position", "m", ((0, 1.0),)),), 2, 3, 0, {}, None)
+    for k in range(3):
+        claim = np.array([[[1.0, 1.0]]]) * (k != 1 or np.array([1.0, 0.0]))
+        nothing = np.zeros((1, 2))
+        scorer.add(k, Estimate(nothing + 2.0, covariance=claim), Step(nothing, (), nothing, np.ones(2, dtype=bool)))
+    found = scorer.finish(np.zeros(2, dtype=np.int8), {})
+    assert found.metrics["nees", "state"].tolist() == [4.0, np.inf] and not found.status.any()
 
 
 @pytest.mark.parametrize("length", [0, 1, 7, 8, 1001])

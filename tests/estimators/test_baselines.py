@@ -9,7 +9,7 @@ import pytest
 from railstate.estimators.baselines import DeadReckoning, Direct, Truth
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.kalman import ExtendedKalman, Kalman
-from railstate.estimators.particle import BootstrapParticle
+from railstate.estimators.particle import BootstrapParticle, _count_degenerate
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.measurement import untold
 from railstate.scenarios.model import DesignModel, Linear
@@ -137,6 +137,23 @@ def test_particle_filter_tends_to_the_kalman_filter() -> None:
         apart[count] = np.linalg.norm((means - exact)[-1], axis=0)
     ratio = np.log(apart[250] / apart[4000])
     assert abs(ratio.mean() - np.log(4)) < 2 * ratio.std(ddof=1) / np.sqrt(runs)
+
+
+def test_steps_whose_particles_have_degenerated_are_counted() -> None:
+    """Counted where a measurement leaves 1 / sum w^2 under nx + 1 = 3: often with four particles, never with 3000."""
+    runs, count = 5, 4
+    model = models.coasting(runs)
+    data = models.record(model, runs, 10)
+    estimator = BootstrapParticle({"particles": count})
+    models.feed(estimator, model, data)
+    few = estimator.counters()["degenerate"]
+    many = BootstrapParticle({"particles": 3000})
+    models.feed(many, model, data)
+    assert (few <= 10).all() and few.sum() > 0 and many.counters()["degenerate"].sum() == 0
+    weights, counted = np.zeros((4, 3)), np.zeros(3)
+    weights[:, 0], weights[0, 1], weights[:, 2] = 0.25, 1.0, (0.5, 0.5, 0, 0)
+    _count_degenerate(weights, np.array([True, True, False]), 3, counted)
+    assert counted.tolist() == [0.0, 1.0, 0.0]  # 4, 1 and (not told) 2 effective particles
 
 
 def test_particle_filter_is_bit_identical_in_any_batch() -> None:

@@ -4,6 +4,7 @@ The paper is Zou, Wang, Han, Zhou, "Recursive Filtering for Time-Varying Systems
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from typing import Any
@@ -138,6 +139,25 @@ def test_the_covariance_is_the_expectation_over_every_order_of_nodes():
             S = S + gains[k] @ F @ linear.R(k + 1) @ F @ gains[k].T
         total += math.prod(reception.p[i] for i in sequence) * S
     np.testing.assert_allclose(total, P[4], rtol=1e-10)
+
+
+def test_a_designed_filter_can_be_copied_and_goes_on_alike():
+    setting = plant(3, [[0, 2], [1]], seed=11)
+    streams = Streams(1, "trial", "default", range(4))
+    world = setting.world(streams)
+    filter_, model = prepare(setting, RandomAccessFilter, {}, {}, world.initial_mean)
+    filter_.design(model)
+    filter_.start(model, 4, streams("estimator", "trial"))
+    copied = copy.deepcopy(filter_)
+    for k in range(3):
+        for each in (filter_, copied):
+            each.predict(world.u[k], whole(k))
+            each.update(heard(world.y[k], world.received[k], k + 1))
+        np.testing.assert_array_equal(copied.estimate().mean, filter_.estimate().mean)
+        np.testing.assert_array_equal(copied.estimate().covariance, filter_.estimate().covariance)
+    before = filter_.estimate().mean.copy()
+    copied.predict(world.u[3], whole(3))
+    np.testing.assert_array_equal(filter_.estimate().mean, before)
 
 
 def test_gains_prepared_by_the_design_serve_any_order_of_events():

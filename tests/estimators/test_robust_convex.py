@@ -73,6 +73,26 @@ def test_objective_on_random_problems(form: str) -> None:
         assert objective == pytest.approx(solution.objective, rel=2e-5), solution.status
 
 
+@pytest.mark.parametrize("form", ["F2", "F3"])
+def test_redundant_sensors_are_solved(form: str) -> None:
+    """More sensors than states, and a first error far above their noise: two positions of 5 cm, a speed of 2 cm/s."""
+    twice = {"A": np.array([[1.0, 0.2], [0.0, 1.0]]), "M": np.zeros(2), "N": np.zeros(2),
+             "g": 0.15 * np.array([[0.02], [0.2]]), "C": np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+             "v": np.array([0.05, 0.05, 0.02]), "Pi": np.diag([100.0, 1.0]), "received": np.ones(3, bool)}
+    _, _, objective, verdict = compiled(form, twice)
+    assert verdict == 0 and objective == pytest.approx(reference(form, twice).objective, rel=2e-5)
+    if form == "F2":
+        assert objective == pytest.approx((0.05 + 0.02) ** 2, rel=1e-6)  # both raw, each sensor's part its own share
+    random = np.random.default_rng(3)
+    for scale in (1.0, 10.0, 100.0):
+        for _ in range(12):
+            n = int(random.integers(2, 5))
+            problem = draw(random, (n, n + int(random.integers(1, 3)), int(random.integers(1, 3))))
+            problem["Pi"] *= scale**2
+            _, _, objective, verdict = compiled(form, problem)
+            assert verdict == 0 and objective == pytest.approx(reference(form, problem).objective, rel=2e-5)
+
+
 @pytest.mark.parametrize("form", ["F1", "F2", "F3"])
 def test_objective_with_missing_measurements(form: str) -> None:
     random = np.random.default_rng(12)

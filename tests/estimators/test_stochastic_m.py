@@ -12,7 +12,7 @@ import pytest
 from railstate.benchmarks.running.drive import Driven, drive
 from railstate.estimators import mode_grid as transitions
 from railstate.estimators.interface import Estimator, Status
-from railstate.estimators.kernels.modes import exponentials, normalise
+from railstate.estimators.kernels.modes import exponentials, kalman_block, normalise
 from railstate.estimators.multiple_model.imm import InteractingMultipleModel
 from railstate.estimators.multiple_model.oracle import KnownParameterKalman
 from railstate.estimators.reference.particle_loop import particle_loop
@@ -373,6 +373,19 @@ def test_counts_of_kalman_updates(measured: dict[str, Driven]) -> None:
         "rbpf": {2750.0}}
 
 
+def test_pruning_where_the_expansion_reaches_its_limit_exactly() -> None:
+    """Ten values and 50 particles make Q = 500: pruned at once, as the paper has it, and not only beyond Q."""
+    ten = braking().design_model({"grid": [round(0.1 * i, 1) for i in range(1, 11)]}, np.zeros((4, 1)))
+    for parameters in ({}, {"policy": "A", "limit": 500}):
+        assert StochasticM(parameters).design(ten)["kalman_updates_per_step"] == 500
+        estimator = StochasticM(parameters)
+        estimator.start(ten, 1, streams([0])("estimator", "x"))
+        for k in range(1, 4):
+            estimator.predict(np.zeros((1, 1)), whole(k))
+            estimator.update(heard(np.zeros((ten.ny, 1)), np.ones((ten.ny, 1), dtype=bool), k))
+            assert estimator.counters()["kalman-updates"][0] == 500 * k and estimator.n == 50
+
+
 def test_many_particles_leave_the_prior(setting: Braking) -> None:
     """GSMA with N = 2000 against its prior without particles, and against the tridiagonal prior of the page."""
     runs = range(30)
@@ -469,6 +482,37 @@ def test_jitter_moves_the_share_it_says(setting: Braking) -> None:
     moved = estimator.cloud.theta - before
     assert np.abs(moved).max() == 1
     assert abs((moved != 0).mean() - 0.3) < 4 * np.sqrt(0.21 / moved.size)
+
+
+@pytest.mark.parametrize("kind", [InteractingMultipleModel, StochasticM, GroupStochasticM, RaoBlackwellizedParticle])
+def test_determinants_of_any_size_weigh_the_modes(kind: type) -> None:
+    """40 states measured one by one, first variances 1e4, noise 1e-4: det S is 1e320 relative to R. The modes differ in
+    how far all states move, so the dense log-likelihood of each is known; against it stand the estimate and weights."""
+    n, grid = 40, np.array([0.0, 1e-5, 2e-5])
+    A, eye = np.repeat(np.eye(n)[None], 3, axis=0), np.eye(n)
+    modes = Grid("shift", grid, A, np.repeat(grid[:, None, None], n, axis=1), eye, 1e-12 * eye, 1e-4 * eye,
+                 np.full(3, 1 / 3))
+    names = tuple(f"x{i}" for i in range(n))
+    model = replace(braking().design_model({}, np.zeros((4, 1))), states=names, measurements=names,
+                    initial_mean=np.zeros((n, 1)), initial_covariance=1e4 * eye[:, :, None],
+                    measurement_covariance=lambda measurement: 1e-4 * eye[:, :, None])
+    model = replace(model, modes=grid_modes(modes, model))
+    parameters = {"transition": "uniform"} if kind is InteractingMultipleModel else {"form": "full"}
+    estimator = kind(parameters)
+    estimator.start(model, 1, streams([0])("estimator", "x"))
+    y = np.random.default_rng(4).normal(0.0, 100.0, n)
+    for k in range(3):
+        estimator.predict(np.ones((1, 1)), whole(k))
+        estimator.update(heard(y[:, None], np.ones((n, 1), dtype=bool), k))
+        estimate = estimator.estimate()
+        assert estimator.status[0] == Status.ok and np.isfinite(estimate.mean).all()
+        np.testing.assert_allclose(estimate.mean[:, 0], y, atol=1e-4)
+    S = 1e4 * eye + (1e-12 + 1e-4) * eye
+    Cw, yw = eye / 1e-2, y / 1e-2
+    loglik, x, P = np.empty(1), np.zeros((n, 1)), 1e4 * eye[:, :, None].copy()
+    kalman_block(eye[:, :, None], np.zeros((n, 1)), eye != 0, 1e-12 * eye, Cw, yw, x, P, loglik, 1)
+    dense = -0.5 * (y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1] - n * np.log(1e-4))
+    assert loglik[0] == pytest.approx(dense, rel=1e-12)
 
 
 def test_general_modes_go_through_the_full_form() -> None:

@@ -187,6 +187,31 @@ def test_an_inaccurate_solution_is_no_design(monkeypatch: pytest.MonkeyPatch) ->
         lmi.ultimate_bound(system(), 0.98)
 
 
+@pytest.mark.parametrize("what", ["all", "W", "Kcal"])
+@pytest.mark.parametrize("variant", ["uniform", "random-access"])
+def test_a_solver_s_word_is_not_enough(monkeypatch: pytest.MonkeyPatch, variant: str, what: str) -> None:
+    """An "optimal" answer whose P is under M'M though the LMI holds, whose W is too small or whose Kcal is another: a
+    wrong certificate is none, and one that comes nevertheless holds."""
+    solve = lmi.solve_problem
+
+    def careless(problem: Any, solver: str) -> str:
+        status = solve(problem, solver)
+        for variable in problem.variables():
+            if what in ("all", variable.name()):
+                variable.value = 0.9 * variable.value
+        return status
+
+    monkeypatch.setattr(lmi, "solve_problem", careless)
+    found = system(variant)
+    try:
+        certificate = lmi.ultimate_bound(found, 0.98)
+    except Infeasible as reason:
+        assert "matrix inequalities are violated" in str(reason)
+    else:
+        assert what != "all"
+        check_inequality(found, certificate)
+
+
 @pytest.mark.parametrize("variant", ["uniform", "random-access"])
 def test_estimator_is_equation_10(variant: str) -> None:
     """The filtered form, predicted, is x^(k+1) = A x^ + B u + h + K Pi (y - C x^); lost elements are never read."""
