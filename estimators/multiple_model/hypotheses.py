@@ -4,6 +4,7 @@ Modes may differ in anything but their states and measurements: an axle's noise,
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from .. import mode_grid
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import ExtendedKalman
 from ..kernels.mixing import mix, moments, weigh
-from .stacked import interval_of, measurement_of, power_of, stacked
+from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
 
 LOG_2PI = float(np.log(2 * np.pi))
 
@@ -64,7 +65,9 @@ class InteractingModels(Estimator):
         self.m = len(self.modes)
         self.power = power_of(self._transition(model))
         self.bank = ExtendedKalman()
-        self.bank.start(stacked(self.modes, runs), self.m * runs, random)
+        self.noise = np.empty((model.ny, model.ny, self.m * runs))
+        bank = replace(stacked(self.modes, runs), measurement_covariance=lambda measurement: self.noise)
+        self.bank.start(bank, self.m * runs, random)
         self.bank._expand()
         self.weight = np.repeat(np.asarray(model.modes.prior, dtype=float)[:, None], runs, axis=1)
         self.lost = np.zeros(runs, dtype=bool)
@@ -79,6 +82,7 @@ class InteractingModels(Estimator):
         heard = measurement.received.any(axis=0)
         if not heard.any():
             return None
+        self.noise = noise_of(self.modes, measurement, self.runs)
         innovation = self.bank.update(measurement_of(measurement, self.m))
         assert innovation is not None and innovation.residual is not None and innovation.variance is not None
         received = np.tile(measurement.received, self.m)

@@ -35,7 +35,8 @@ def measurement_of(measurement: Measurement, m: int) -> Measurement:
 
 
 def stacked(modes: Sequence[Mode], runs: int) -> DesignModel:
-    """The design model of all modes of `runs` runs. Its functions are to be asked with arrays of m S columns only."""
+    """The design model of all modes of `runs` runs, but for R. Its functions are to be asked with arrays of m S columns
+    only."""
     models = [mode.model for mode in modes]
     m = len(models)
 
@@ -59,17 +60,27 @@ def stacked(modes: Sequence[Mode], runs: int) -> DesignModel:
     return replace(
         models[0], transition=each("transition"), measurement=each("measurement"),  # pyright: ignore
         transition_jacobian=each("transition_jacobian"), measurement_jacobian=each("measurement_jacobian"),
-        process_covariance=each("process_covariance"), measurement_covariance=each("measurement_covariance"),
+        process_covariance=each("process_covariance"),
         initial_mean=np.concatenate([model.initial_mean for model in models], axis=1),
         initial_covariance=np.concatenate([np.broadcast_to(model.initial_covariance, (
             *model.initial_covariance.shape[:2], runs)) for model in models], axis=2),
         linear=None, bounds=None, modes=None)
 
 
+def noise_of(modes: Sequence[Mode], measurement: Measurement, runs: int) -> Array:
+    """R (ny, ny, m S) of all modes for a measurement of S runs."""
+    m, ny = len(modes), len(measurement.y)
+    out = np.empty((ny, ny, m * runs))
+    for j, mode in enumerate(modes):
+        assert mode.model.measurement_covariance is not None
+        out[:, :, j * runs:(j + 1) * runs] = mode.model.measurement_covariance(measurement)
+    return out
+
+
 def _cut(value: Any, mine: slice, columns: int) -> Any:
     """The columns of one mode of an argument of a model function."""
-    if isinstance(value, Interval | Measurement):
-        return type(value)(*(_cut(part, mine, columns) for part in value))
+    if isinstance(value, Interval):
+        return Interval(value.step, *(_cut(part, mine, columns) for part in value[1:]))
     if isinstance(value, np.ndarray) and value.ndim and value.shape[-1] == columns:
         return np.ascontiguousarray(value[..., mine])
     return value

@@ -4,7 +4,7 @@ Dead reckoning takes distance and speed from the counts it hears; the others car
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -67,13 +67,14 @@ class Knowledge(Strict):
 @dataclass(frozen=True)
 class Odometer:
     """The model's functions for given knowledge. sensors: names of the measurements; variances (ny,): what each is
-    worth where it tells nothing itself; span s: what the wheels' speeds are the means of."""
+    worth where it tells nothing itself. whole: what `_clock` says of whole steps, by the number of runs."""
 
     told: Knowledge
     sensors: tuple[str, ...]
     variances: Array
     period: float
     slope: Slope
+    whole: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -85,6 +86,10 @@ class Odometer:
 
     def _clock(self, interval: Interval, runs: int) -> tuple[Array, Array, Array]:
         """Length s, whether it begins its step, whether it is the whole of it; (S,) each."""
+        if isinstance(interval.length, float) and interval.share == 1.0:
+            if runs not in self.whole:
+                self.whole[runs] = np.full(runs, self.period), np.ones(runs, dtype=bool), np.ones(runs, dtype=bool)
+            return self.whole[runs]
         length = np.broadcast_to(np.asarray(interval.length, dtype=float), (runs,))
         since = np.asarray(interval.start) - interval.depart * self.period
         fresh = np.broadcast_to(since < 1e-6 * self.period, (runs,))
@@ -119,8 +124,8 @@ class Odometer:
         return out
 
     def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
-        """df/dx (nx, nx, S)."""
-        runs = x.shape[1]
+        """df/dx (nx, nx, S), (nx, nx, 1) over whole steps."""
+        runs = 1 if isinstance(interval.length, float) and interval.share == 1.0 else x.shape[1]
         length, fresh, _ = self._clock(interval, runs)
         out = np.empty((len(self.states), len(self.states), runs))
         if self.told.motion != "accelerometer":
