@@ -74,6 +74,7 @@ class Cell:
             yield from self._errors(column, references)
         yield from self._values([c for c in metric_columns(self.aligned.part) if c not in judged])
         yield from self._claims()
+        yield from self._requirements()
         yield from self._reliability()
 
     def duels(self, judged: Sequence[Column], a: str, b: str) -> Iterator[tuple[Line, Line]]:
@@ -170,6 +171,36 @@ class Cell:
                 yield self._line("claim", ("", "bound", "performance", "1"), label, **_limits(limit),
                                  verdict=limit.verdict, against="certified", ratio=limit.value / limit.certified,
                                  ratio_low=limit.low / limit.certified, ratio_high=limit.high / limit.certified)
+
+    def _requirements(self) -> Iterator[Line]:
+        """What the scenario asks for: met, not met, or undecided and by about how many runs it would be decided. A lost
+        run has not kept it; who claims nothing that is asked about has no line."""
+        for asked in self.about["variants"][self.key.split("/")[1]].get("requirements", ()):
+            metric, name = "kept" if asked["per"] == "runs" else "inside", asked["name"]
+            column = f"{metric}:{name}:1"
+            if column not in self.aligned:
+                continue
+            for label, row, lost in zip(self.labels, self.aligned.values(column), self.lost, strict=True):
+                if np.isnan(row[~lost]).all() and not lost.all():
+                    continue
+                found = claims.requirement(np.where(lost, 0.0, row), asked["accept"])
+                yield self._line("requirement", (column, metric, name, "1"), label, value=found.found.value,
+                                 low=found.found.low, high=found.found.high, runs=found.found.n,
+                                 verdict=found.verdict, deciding=found.deciding, against=f"{asked['accept']:g}",
+                                 note=self._sizes(asked, label))
+
+    def _sizes(self, asked: Mapping[str, Any], label: str) -> str:
+        """The metres (or m/s) beside a verdict, which alone may mislead: 95th percentiles over the runs."""
+        shown = {"allowance": ("use", "over", "under"), "speed": ("use",), "stop": ("error",),
+                 "confidence": ("half-width", "k99"), "percentile": (f"p{asked.get('percent', 0):g}",)}[asked["form"]]
+        words, i = [], self.labels.index(label)
+        for metric in shown:
+            found = [c for c in metric_columns(self.aligned.part) if c[1:3] == (metric, asked["name"])]
+            values = st.finite(self.aligned.values(found[0][0])[i]) if found else np.zeros(0)
+            if values.size:
+                unit = "" if found[0][3] == "1" else f" {found[0][3]}"
+                words.append(f"{metric} {np.percentile(values, 95):.3g}{unit}")
+        return f"P95 over runs: {', '.join(words)}" if words else ""
 
     def _reliability(self) -> Iterator[Line]:
         """The share of runs that did not end well, and who lost more than equals would."""

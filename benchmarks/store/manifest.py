@@ -70,6 +70,7 @@ class AboutVariant(_Part):
 
     notes: list[Text]
     fitted: list[Text]
+    requirements: list[dict[str, Any]] = []
     title: Text
     period: Annotated[float, Field(gt=0)]
 
@@ -184,7 +185,8 @@ def description(plan: Plan) -> dict[str, Any]:
             "shown": {**setting.shown, **{item.name: item.shown for item in setting.quantities() if item.shown}},
             "quantities": [item.name for item in setting.quantities()], "table": _table(setting), "variants": {}})
         about["variants"][cell.variant] = {"notes": setting.notes, "fitted": config.fitted, "title": config.title,
-                                           "period": setting.sampling_period}
+                                           "period": setting.sampling_period,
+                                           "requirements": [asked.model_dump() for asked in config.requirements]}
     plugins = {entry.plugin: plan.catalogue[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
     return {
         "scenarios": scenarios,

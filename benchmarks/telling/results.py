@@ -10,7 +10,7 @@ from ..judging.table import verdicts_of
 from ..store.folder import Store
 from .console import print_table
 from .sayings import headlines
-from .tables import cell_tables, window_tables
+from .tables import cell_tables, requirement_tables, window_tables
 from .wording import notes_of
 
 
@@ -18,7 +18,7 @@ def print_results(store: Store) -> None:
     """The tables on standard output, failures with their replay lines, and the closing count."""
     rows, manifest, table = store.rows(), store.manifest(), verdicts_of(store)
     windows: dict[str, list[tuple[str, pd.DataFrame]]] = {}
-    for title, parts in window_tables(table, manifest):
+    for title, parts in (*requirement_tables(table), *window_tables(table, manifest)):
         windows.setdefault(title.partition(": ")[0], []).append((title, parts))
     tables = cell_tables(table, manifest, store.timing())
     for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
@@ -27,8 +27,10 @@ def print_results(store: Store) -> None:
             notes = [caption, *notes_of(manifest["scenarios"][scenario]["variants"][key.split("/")[1]])]
             print_table(key, frame, [note for note in notes if note not in told])
             told.update(notes)
-            for title, parts in windows.pop(key, []) if place == 0 else []:
-                print_table(title, parts)
+            for title, parts in windows.pop(key, []):
+                if place == 0 or title.endswith(": requirements"):
+                    print_table(title, parts, ["Sizes: 95th percentiles over the runs."]
+                                if title.endswith(": requirements") else [])
         for line in headlines(table, scenario):
             print(f"{scenario}: {line}")
         print()

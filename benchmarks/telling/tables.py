@@ -54,6 +54,24 @@ def cell_tables(table: pd.DataFrame, manifest: Mapping[str, Any],
         yield f"{scenario}/{variant}", frame[order], caption(records(part, "error"), runs)
 
 
+def requirement_tables(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """(scenario/variant: requirements, table) of cells with requirements: a line an estimator and requirement, whether
+    it is met, the share that kept it with its interval, and the sizes beside it."""
+    for (scenario, variant), part in table[table["kind"] == "requirement"].groupby(["scenario", "variant"], sort=False):
+        yield f"{scenario}/{variant}: requirements", pd.DataFrame([
+            {"requirement": line["quantity"], "estimator": line["estimator"], "verdict": required_word(line),
+             "kept": f"{percent(line['value'])} [{number(100 * line['low'])}, {number(100 * line['high'])}]",
+             "asked": f"{percent(float(line['against']))} of {'runs' if line['metric'] == 'kept' else 'time'}",
+             "sizes": line["note"].removeprefix("P95 over runs: ")}
+            for line in sorted(records(part), key=lambda line: line["quantity"])])
+
+
+def required_word(line: Mapping[str, Any]) -> str:
+    """`met`, `not met`, or `undecided (about 120 runs)`."""
+    runs = f" (about {number(line['deciding'], 2)} runs)" if line["deciding"] < float("inf") else ""
+    return line["verdict"] + (runs if line["verdict"] == "undecided" else "")
+
+
 def value_words(line: Mapping[str, Any]) -> str:
     """`0.112 ± 0.003`, shares as `95 % [84, 99]`; with the runs behind it where some are lost; nothing where there is
     no value."""

@@ -6,9 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from pydantic import TypeAdapter
+from railstate.benchmarks.judging.selection import Aligned
+from railstate.benchmarks.judging.table import Cell, framed
 from railstate.benchmarks.scoring.requirements import RequirementScores
+from railstate.benchmarks.telling.tables import requirement_tables
 from railstate.estimators.interface import Estimate
 from railstate.scenarios.arrays import Array
 from railstate.scenarios.requirements import Requirement, check
@@ -180,3 +184,33 @@ def test_rows_of_any_scenario_carry_its_requirements(railstate: Command) -> None
     rows = Store(Path("out")).rows()
     assert {"kept:near:1", "p95:near:m", "p99:position:m"} <= set(rows.columns)
     np.testing.assert_array_equal(rows["kept:near:1"], (rows["p95:near:m"] <= 3.0).astype(float))
+
+
+def test_requirements_are_judged_with_their_sizes_beside() -> None:
+    """Met, not met, undecided; a lost run has not kept it; who claims nothing has no line."""
+    rng = np.random.default_rng(3)
+    kept = {"good": np.ones(100), "bad": (rng.uniform(size=100) < 0.5).astype(float),
+            "open": np.r_[np.zeros(4), np.ones(96)], "mute": np.full(100, np.nan)}
+    rows = pd.concat([pd.DataFrame({
+        "scenario": "s", "variant": "v", "estimator": label, "run": range(100), "status": "ok", "reason": "",
+        "kept:near:1": values, "use:near:1": np.linspace(0, 1, 100), "over:near:m": 3.0, "under:near:m": 1.0,
+    }) for label, values in kept.items()], ignore_index=True)
+    lost = (rows["estimator"] == "good") & (rows["run"] < 30)
+    near = asked(form="allowance", constant=5.0, share=0.05, accept=0.95).model_copy(update={"name": "near"})
+    about = {"quantities": [], "shown": {}, "variants": {"v": {"requirements": [near.model_dump()]}}}
+
+    def verdicts(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
+        cell = Cell("s/v", Aligned(table), about, {})
+        return {line["estimator"]: line for line in cell._requirements()}
+
+    found = verdicts(rows)
+    assert {label: line["verdict"] for label, line in found.items()} == {
+        "good": "met", "bad": "not met", "open": "undecided"}
+    assert found["open"]["deciding"] > 100 and np.isnan(found["good"]["deciding"])
+    assert found["good"]["note"] == "P95 over runs: use 0.95, over 3 m, under 1 m"
+    rows.loc[lost, ["kept:near:1", "use:near:1"]] = np.nan
+    rows.loc[lost, "status"] = "diverged"
+    again = verdicts(rows)
+    assert again["good"]["verdict"] == "not met" and again["good"]["value"] == pytest.approx(0.7)
+    (title, table), = requirement_tables(framed(list(found.values())))
+    assert title == "s/v: requirements" and table["verdict"][0] == "met" and table["asked"][0] == "95 % of runs"

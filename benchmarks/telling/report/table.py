@@ -11,7 +11,7 @@ import numpy as np
 
 from ..figures.data import CellResults
 from ..sayings import Line, deciding, drawn
-from ..tables import value_words
+from ..tables import required_word, value_words
 from ..wording import change_interval, counted, metric_name, number, percent, plus_minus, ratio, rough
 
 
@@ -57,6 +57,10 @@ def table(cell: CellResults) -> Table:
     for metric, quantity in dict.fromkeys((line["metric"], line["quantity"]) for line in cell.lines("consistency")):
         columns.append((("ANEES" if metric == "nees" else f"{quantity} {metric}", "1 is right"),
                         lambda label, key=(metric, quantity): _consistency(cell.line("consistency", *key, label))))
+    for name in dict.fromkeys(line["quantity"] for line in cell.lines("requirement")):
+        metric = next(line["metric"] for line in cell.lines("requirement") if line["quantity"] == name)
+        columns.append(((f"requirement {name}", "of runs" if metric == "kept" else "of time"),
+                        lambda label, key=(metric, name): _required(cell.line("requirement", *key, label))))
     if cell.lines("claim", "coverage"):
         columns.append((("set holds the truth", "of steps"), lambda label: _coverage(cell, label)))
     if cell.lines("claim", "bound"):
@@ -132,6 +136,14 @@ def _consistency(line: Line | None) -> Entry:
     return Entry(f"{number(line['value'])} [{number(line['low'])}, {number(line['high'])}]",
                  "; ".join(filter(None, [line["verdict"], *beside])), line["value"],
                  {"too sure": "bad", "consistent": "good"}.get(line["verdict"], ""))
+
+
+def _required(line: Line | None) -> Entry:
+    if line is None:
+        return Entry("claims nothing of it", kind="none")
+    interval = f"{percent(line['value'])} [{number(100 * line['low'])}, {number(100 * line['high'])}]"
+    return Entry(required_word(line), f"{interval}; {line['note']}", line["value"],
+                 {"met": "good", "not met": "bad"}.get(line["verdict"], ""))
 
 
 def _coverage(cell: CellResults, label: str) -> Entry:
