@@ -213,4 +213,4 @@ def test_requirements_are_judged_with_their_sizes_beside() -> None:
     again = verdicts(rows)
     assert again["good"]["verdict"] == "not met" and again["good"]["value"] == pytest.approx(0.7)
     (title, table), = requirement_tables(framed(list(found.values())))
-    assert title == "s/v: requirements" and table["verdict"][0] == "met" and table["asked"][0] == "95 % of runs"
+    assert title == "s/v: requirements" and table["verdict"][0] == "met" and table["asked"][0] == "95.0 % of runs"
