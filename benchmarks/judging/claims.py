@@ -12,7 +12,7 @@ from scipy.special import ndtri, stdtrit
 
 from ...scenarios.arrays import Array
 from .family import LEAST
-from .statistics import ALPHA, Share, finite, hall, share
+from .statistics import ALPHA, Intervals, Share, finite, hall, share
 
 TOLERANCE = 0.1
 """A mean of squares over their claimed size is consistent where its whole interval lies within 1 +- TOLERANCE."""
@@ -59,6 +59,16 @@ def consistency(ratio_per_run: ArrayLike, inside_per_run: ArrayLike = ()) -> Cla
         elif low >= 1 - TOLERANCE and high <= 1 + TOLERANCE:
             verdict = "consistent"
     return Claim(mean, low, high, values.size, verdict, note)
+
+
+def white(found: Intervals) -> Literal["white", "coloured", "undecided"]:
+    """Whether innovations are white, from the interval of their mean lag-1 autocorrelation over the runs: within
+    +-TOLERANCE, beyond it, or neither."""
+    if found.n < LEAST:
+        return "undecided"
+    if found.low >= -TOLERANCE and found.high <= TOLERANCE:
+        return "white"
+    return "coloured" if found.low > TOLERANCE or found.high < -TOLERANCE else "undecided"
 
 
 class Bounded(NamedTuple):

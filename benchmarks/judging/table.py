@@ -160,6 +160,7 @@ class Cell:
                 yield self._line("consistency", ("", "nees", "state", "1"), label, **_limits(found),
                                  verdict=found.verdict, note=found.note, inside=st.share(inside[i]).value,
                                  median=float(np.median(middle)) if middle.size else np.nan)
+            yield from self._innovations(i, label)
             kept = st.finite(held[i])
             if kept.size:
                 left = int((kept < 1).sum())
@@ -201,6 +202,23 @@ class Cell:
                 unit = "" if found[0][3] == "1" else f" {found[0][3]}"
                 words.append(f"{metric} {np.percentile(values, 95):.3g}{unit}")
         return f"P95 over runs: {', '.join(words)}" if words else ""
+
+    def _innovations(self, i: int, label: str) -> Iterator[Line]:
+        """What needs no truth: NIS by the rule of the ANEES, whiteness, the mean log-likelihood, which is a score."""
+        for metric in ("nis", "whiteness", "log-likelihood"):
+            column = ("", metric, "innovation", "1")
+            name = f"{metric}:innovation:1"
+            values = self.aligned.values(name)[i] if name in self.aligned else np.zeros(0)
+            if not st.finite(values).size:
+                continue
+            if metric == "nis":
+                found = claims.consistency(values)
+                yield self._line("consistency", column, label, **_limits(found), verdict=found.verdict, note=found.note)
+            else:
+                mean = st.hall(values)
+                word = claims.white(mean) if metric == "whiteness" else ""
+                yield self._line("consistency", column, label, value=float(mean.value), low=float(mean.low),
+                                 high=float(mean.high), runs=int(mean.n), verdict=word)
 
     def _reliability(self) -> Iterator[Line]:
         """The share of runs that did not end well, and who lost more than equals would."""

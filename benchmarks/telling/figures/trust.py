@@ -39,6 +39,7 @@ def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: 
     for label in labels:
         curve = cell.curves[label, quantity]
         use = np.flatnonzero(curve.active >= max(1.0, 0.1 * float(curve.active.max(initial=0.0))))
+        use = use[np.isfinite(curve.squared[use])]
         use = use[np.unique(np.linspace(0, len(use) - 1, min(BINS, len(use))).astype(int))] if len(use) else use
         lines[label] = (curve.time[use], curve.squared[use] / curve.active[use] / degrees[label], curve.active[use])
     time, _, active = max(lines.values(), key=lambda line: len(line[0]))

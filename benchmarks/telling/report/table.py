@@ -55,7 +55,8 @@ def table(cell: CellResults) -> Table:
                         lambda label, key=(metric, quantity): _outcome(
                             cell.line("value", *key, label) or cell.line("share", *key, label))))
     for metric, quantity in dict.fromkeys((line["metric"], line["quantity"]) for line in cell.lines("consistency")):
-        columns.append((("ANEES" if metric == "nees" else f"{quantity} {metric}", "1 is right"),
+        columns.append((("ANEES" if metric == "nees" else metric.upper() if metric == "nis" else metric,
+                         {"whiteness": "0 is right", "log-likelihood": "per element"}.get(metric, "1 is right")),
                         lambda label, key=(metric, quantity): _consistency(cell.line("consistency", *key, label))))
     for name in dict.fromkeys(line["quantity"] for line in cell.lines("requirement")):
         metric = next(line["metric"] for line in cell.lines("requirement") if line["quantity"] == name)
