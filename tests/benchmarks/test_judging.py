@@ -29,7 +29,7 @@ def rng() -> np.random.Generator:
 def manifest(labels: list[str], oracles: tuple[str, ...] = (), plugin: str = "") -> dict[str, Any]:
     """As much of a manifest as judging reads: one cell s/v, position judged by its RMSE, shown in cm."""
     return {"scenarios": {"s": {"table": [["rmse", "x"], ["nees", "state"]], "quantities": ["x"],
-                                "shown": {"x": ["cm", 100.0]}}},
+                                "shown": {"x": ["cm", 100.0]}, "variants": {"v": {}}}},
             "configuration": {"cells": {"s/v": {"estimators": {label: {"plugin": plugin or label}
                                                                for label in labels}}}},
             "estimators": {name: {"oracle": name in oracles} for name in {*labels, plugin}}}
