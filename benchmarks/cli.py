@@ -28,6 +28,7 @@ from .commands.show import list_, schema, show
 from .commands.sweep import sweep
 from .commands.timing import timing
 from .isolation.process import end_idle
+from .isolation.server import worded
 from .studies.complete import Interrupted
 
 app = typer.Typer(
@@ -53,10 +54,11 @@ def main() -> None:
     """Entry point of the console script."""
     said: set[str] = set()
 
-    def warn(message: Warning | str, *_: object) -> None:
-        if str(message) not in said:  # once, from however many processes
-            said.add(str(message))
-            print(f"warning: {message}", file=sys.stderr)
+    def warn(message: Warning | str, category: type[Warning], file: str, line: int, *_: object) -> None:
+        text = worded(str(message), category, file, line)
+        if text not in said:  # once, from however many processes
+            said.add(text)
+            print(f"warning: {text}", file=sys.stderr)
 
     warnings.showwarning = warn
     kept: Sequence[int] = ()

@@ -34,6 +34,8 @@ WORDS = 300
 TABLE = "arrow table"
 """The key that stands for a table in an answer's JSON."""
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+SUITE = Path(__file__).resolve().parents[2]
+"""The folder of the suite's own code."""
 WORD = struct.Struct("!cQ")
 """What a guard is told: `b` and the bytes of memory allowed (it gets work), `?` (has it left anything behind?)."""
 _LENGTH = struct.Struct("!Q")
@@ -231,12 +233,18 @@ def answer(function: Any, arguments: tuple[Any, ...], heard: list[str]) -> list[
 def _hear(heard: list[str]) -> None:
     """Collect warnings, each once, instead of printing them."""
 
-    def note(message: Warning | str, *_: Any) -> None:
-        text = str(message)[:WORDS].encode("utf-8", "replace").decode()
+    def note(message: Warning | str, category: type[Warning], file: str, line: int, *_: Any) -> None:
+        text = worded(str(message)[:WORDS].encode("utf-8", "replace").decode(), category, file, line)
         if text not in heard and len(heard) < 20:
             heard.append(text)
 
     warnings.showwarning = note
+
+
+def worded(message: str, category: type[Warning], file: str, line: int) -> str:
+    """A warning with whose it is: the place it comes from, where it is none that the suite words itself."""
+    ours = category is UserWarning and Path(file).resolve().is_relative_to(SUITE)
+    return message if ours else f"{message} ({file}:{line})"
 
 
 def _died(status: int) -> str:
