@@ -8,7 +8,7 @@ import inspect
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple
 
@@ -51,6 +51,13 @@ class Estimate:
     ellipsoid: Array | None = None
     bound: Array | None = None
     diversity: Array | None = None
+
+
+def cut(estimate: Estimate, own: int) -> Estimate:
+    """The setting's own states of an estimate on an augmented model: what is scored, and what steers a closed loop."""
+    P, Pi = estimate.covariance, estimate.ellipsoid
+    return replace(estimate, mean=estimate.mean[:own], covariance=None if P is None else P[:own, :own],
+                   ellipsoid=None if Pi is None else Pi[:own, :own])
 
 
 class Innovation(NamedTuple):

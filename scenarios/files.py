@@ -171,6 +171,11 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
             setting.resolve_knowledge(entry.knowledge)
         except ValidationError as error:
             mistakes += describe(error, type(setting.config.knowledge), f"estimators.{label}.knowledge")
+            continue
+        try:
+            setting.chosen(entry.knowledge, entry.augment)
+        except InputError as error:
+            mistakes.append(f"estimators.{label}.{error}")
     return mistakes
 
 

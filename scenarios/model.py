@@ -134,10 +134,12 @@ class DesignModel:
     measurement(x, step): (nx, .., S) -> (ny, .., S).
     transition_jacobian(x, u, interval): (nx, S) -> (nx, nx, S) or (nx, nx, 1) where all runs share it.
     measurement_jacobian(x, step): (nx, S) -> (ny, nx, S or 1).
+    input_jacobian(x, u, interval): (nx, nu, S or 1), df/du, for scales on inputs; may be None.
     process_covariance(x, u, interval): (nx, nx, S or 1), PSD. Parts of a step need not add up to the whole.
     measurement_covariance(measurement): (ny, ny, S or 1), PD: what the sensors tell, else the model's own (`told`).
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
+    appended: how many states stand behind the setting's own (`augmented`); those are not scored and steer nothing.
     tells: measurements whose sensors tell their own covariance, so that an estimator that cannot use it refuses.
     `details` carries plant-specific knowledge for estimators written for that plant (keys told by the setting)."""
 
@@ -160,6 +162,8 @@ class DesignModel:
     details: dict[str, object] = field(default_factory=dict)
     inclusion: Inclusion | None = None
     tells: tuple[str, ...] = ()
+    input_jacobian: Callable[[Array, Array, Interval], Array] | None = None
+    appended: int = 0
 
     def __post_init__(self) -> None:
         """Raises InputError for functions of the first edition, which took a step and a portion of it."""
@@ -173,6 +177,11 @@ class DesignModel:
     @property
     def nx(self) -> int:
         return len(self.states)
+
+    @property
+    def own(self) -> int:
+        """How many leading states are the setting's own."""
+        return len(self.states) - self.appended
 
     @property
     def ny(self) -> int:

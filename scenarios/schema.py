@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from .requirements import Requirement
 from .strict import Strict
@@ -41,16 +41,34 @@ class Score(Strict):
     divergence: dict[str, PositiveFloat] = {}
 
 
+class Augment(Strict):
+    """An extra state that an estimator carries along; what is left out is as the setting offers it (`railstate show`).
+
+    kind: constant, walk (sd per root of a second) or gauss-markov (stationary sd; time_constant s). sd, mean, start_sd,
+    bound: in the unit of the offer; bound: of what drives it within a step. instead: the share of the plain model's
+    process noise that it replaces."""
+
+    kind: Literal["constant", "walk", "gauss-markov"] | None = None
+    sd: NonNegativeFloat | None = None
+    start_sd: NonNegativeFloat | None = None
+    mean: float | None = None
+    time_constant: PositiveFloat | None = None
+    bound: PositiveFloat | None = None
+    instead: Annotated[float, Field(ge=0, le=1)] | None = None
+
+
 class EstimatorEntry(Strict):
     """One estimator of the scenario under its own label: which plug-in, its parameters, what it is told differently.
 
-    knowledge overrides the scenario's [knowledge] for this entry only. late: what becomes of packets that come late:
-    `drop`, `as-new` (taken for fresh ones) or `rewind` (taken at their stamp, all since once more). told_faults: it is
-    told which readings are faulty, and gets none of them: a yardstick. default = false: run only when asked for."""
+    knowledge overrides the scenario's [knowledge] for this entry only. augment: extra states of those that the setting
+    offers, by name. late: what becomes of packets that come late: `drop`, `as-new` (taken for fresh ones) or `rewind`
+    (taken at their stamp, all since once more). told_faults: it is told which readings are faulty, and gets none of
+    them: a yardstick. default = false: run only when asked for."""
 
     plugin: str
     parameters: dict[str, Any] = {}
     knowledge: dict[str, Any] = {}
+    augment: dict[str, Augment] = {}
     late: Literal["drop", "as-new", "rewind"] = "drop"
     told_faults: bool = False
     default: bool = True

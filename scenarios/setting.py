@@ -6,13 +6,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 from .arrays import Array
+from .augmented import Extra, augmented
+from .errors import InputError
 from .model import DesignModel
 from .randomness import Streams
-from .schema import ScenarioConfig
+from .schema import Augment, ScenarioConfig
 from .world import Sensing, World
 
 ConfigT = TypeVar("ConfigT", bound=ScenarioConfig)
@@ -94,6 +96,33 @@ class Setting(ABC, Generic[ConfigT]):
         """The sensors, for faults and for channels that look at the readings; None where the setting takes no
         faults."""
         return None
+
+    def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
+        """The extra states that make sense here, with their units and usual numbers, by the name under which an
+        estimator's entry asks for them (`augment`); several where there is one for each car or sensor."""
+        return {}
+
+    def told(self, knowledge: Mapping[str, Any], augment: Mapping[str, Augment], initial_mean: Array) -> DesignModel:
+        """The design model with the extra states that an estimator's entry asks for. Raises InputError."""
+        model = self.design_model(knowledge, initial_mean)
+        return augmented(model, self.chosen(knowledge, augment)) if augment else model
+
+    def chosen(self, knowledge: Mapping[str, Any], augment: Mapping[str, Augment]) -> list[Extra]:
+        """The extra states asked for, their numbers in place of the usual ones. Raises InputError."""
+        offered = self.extras(knowledge)
+        out: list[Extra] = []
+        for name, asked in augment.items():
+            if name not in offered:
+                raise InputError(f"augment.{name}: there is no such extra state here; allowed: "
+                                 f"{', '.join(offered) or 'none'}")
+            changes = asked.model_dump(exclude_none=True)
+            if changes.get("kind") == "walk" and "start_sd" not in changes and offered[name][0].start_sd is None:
+                raise InputError(f"augment.{name}: kind = \"walk\" needs a start_sd in {offered[name][0].unit}")
+            try:
+                out += [replace(extra, **changes) for extra in offered[name]]
+            except InputError as error:
+                raise InputError(f"augment.{error}") from None
+        return out
 
     def table(self) -> tuple[tuple[str, str], ...]:
         """(metric, quantity) pairs that the printed tables show; `summary.csv` has all."""

@@ -60,12 +60,13 @@ def design(
     catalogue = Catalogue()
     for label in _labels(setting, estimators, catalogue):
         entry = setting.config.estimators.get(label) or EstimatorEntry(plugin=label)
-        parameters = catalogue.parameters(entry.plugin, entry.parameters, f"{name}: estimators.{label}.parameters")
+        entry = entry.model_copy(update={"parameters": catalogue.parameters(
+            entry.plugin, entry.parameters, f"{name}: estimators.{label}.parameters")})
         if catalogue.own(entry.plugin):
             cls = estimator_class(entry.plugin, name)
-            found = _designed(setting, name, variant, cls, parameters, entry.knowledge)
+            found = _designed(setting, name, variant, cls, entry)
         else:
-            found = _designed_apart(setting, name, variant, catalogue, entry, parameters)
+            found = _designed_apart(setting, name, variant, catalogue, entry)
         if found.row:
             rows.append({"estimator": label, **found.row})
         if found.gain is not None:
@@ -100,19 +101,23 @@ def certify(
     setting, name, variant = _setting(scenario, theta, delta, set_)
     rows, K = [], read_gain(gain)
     try:
-        needed = _prepare(setting, name, variant, FixedGain, {"gain": K.tolist()}, {})[1]
+        needed = _prepare(setting, name, variant, FixedGain, _fixed(K))[1]
     except Unsupported as reason:
         raise InputError(f"{name}/{variant}: {reason}") from None
     if K.shape != (needed.nx, needed.ny):
         raise InputError(f"{gain}: the gain is {K.shape[0]} x {K.shape[1]}, {name}/{variant} needs {needed.nx} x "
                          f"{needed.ny} (states x measurements)")
     for multipliers in ("scalar", "free"):
-        found = _designed(setting, name, variant, FixedGain, {"gain": K.tolist(), "multipliers": multipliers}, {})
+        found = _designed(setting, name, variant, FixedGain, _fixed(K, multipliers=multipliers))
         rows.append({"multipliers": {"scalar": "scalar (Theorem 1)", "free": "free (tighter)"}[multipliers],
                      **found.row})
     print_table(f"Certificates of {gain} on {name}/{variant}", pd.DataFrame(rows))
     if all(row["bound"] == "none" for row in rows):
         raise typer.Exit(1)
+
+
+def _fixed(gain: np.ndarray, **parameters: Any) -> EstimatorEntry:
+    return EstimatorEntry(plugin="fixed-gain", parameters={"gain": gain.tolist(), **parameters})
 
 
 @dataclass(frozen=True)
@@ -141,11 +146,11 @@ def _lines(found: dict[str, Any], path: str = "") -> list[tuple[str, str]]:
     return out
 
 
-def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimator], parameters: dict[str, Any],
-              knowledge: dict[str, Any]) -> _Designed:
+def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimator],
+              entry: EstimatorEntry) -> _Designed:
     """One row of the table; empty for an estimator that designs nothing. A gain that does not fit is an InputError."""
     try:
-        estimator, model = _prepare(setting, name, variant, cls, parameters, knowledge)
+        estimator, model = _prepare(setting, name, variant, cls, entry)
         info = estimator.design(model)
     except Unsupported as reason:
         return _Designed({"bound": "none", "status": f"unsupported: {reason}"})
@@ -164,28 +169,27 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
     }, info["gain"])
 
 
-def _designed_apart(setting: Setting[Any], name: str, variant: str, catalogue: Catalogue, entry: EstimatorEntry,
-                    parameters: dict[str, Any]) -> _Designed:
+def _designed_apart(setting: Setting[Any], name: str, variant: str, catalogue: Catalogue,
+                    entry: EstimatorEntry) -> _Designed:
     """The same of a plug-in, in a process of its own."""
     with catalogue.process(entry.plugin, IMPORT) as process:
-        found = process.call(_plain, setting, name, variant, entry.plugin, parameters, entry.knowledge)
+        found = process.call(_plain, setting, name, variant, entry)
     if isinstance(found, Ended):
         return _Designed({"bound": "none", "status": found.reason})
     return _Designed(found["row"], None if found["gain"] is None else np.array(found["gain"]), found["other"])
 
 
-def _plain(setting: Setting[Any], name: str, variant: str, plugin: str, parameters: dict[str, Any],
-           knowledge: dict[str, Any]) -> dict[str, Any]:
+def _plain(setting: Setting[Any], name: str, variant: str, entry: EstimatorEntry) -> dict[str, Any]:
     """A plug-in's design as plain data."""
-    found = _designed(setting, name, variant, estimator_class(plugin, name), parameters, knowledge)
+    found = _designed(setting, name, variant, estimator_class(entry.plugin, name), entry)
     plain = {"row": found.row, "gain": found.gain, "other": found.other}
     return json.loads(json.dumps(plain, default=lambda value: np.asarray(value).tolist()))
 
 
-def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator], parameters: dict[str, Any],
-             knowledge: dict[str, Any]) -> tuple[Estimator, DesignModel]:
+def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator],
+             entry: EstimatorEntry) -> tuple[Estimator, DesignModel]:
     world = setting.world(Streams(0, name, variant, (0,)))
-    return prepare(setting, cls, parameters, knowledge, world.initial_mean)
+    return prepare(setting, cls, entry.parameters, entry.knowledge, world.initial_mean, entry.augment)
 
 
 def _setting(scenario: str, theta: float | None, delta: float | None, set_: list[str]) -> tuple[Setting[Any], str, str]:

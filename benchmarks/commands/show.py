@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
+from ...scenarios.augmented import Extra
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
 from ..planning.catalogue import Catalogue, Described
@@ -62,8 +63,23 @@ def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a T
     print_table("", pd.DataFrame([
         {"estimator": label, "plug-in": entry.plugin, "parameters": json.dumps(entry.parameters) if entry.parameters
          else "", "told differently": json.dumps(entry.knowledge) if entry.knowledge else "",
+         "extra states": json.dumps({extra: asked.model_dump(exclude_none=True)
+                                     for extra, asked in entry.augment.items()}) if entry.augment else "",
          "runs by default": "yes" if entry.default else "no"}
         for label, entry in config.estimators.items()]))
+    offered = scenario.setting(variant).extras({})
+    if offered:
+        print_table("Extra states that an entry may ask for (augment = { NAME = { kind = .. } })",
+                    pd.DataFrame([_offer(name, extras) for name, extras in offered.items()]))
+
+
+def _offer(name: str, extras: tuple[Extra, ...]) -> dict[str, str]:
+    """An offer's line: its usual numbers, in its unit."""
+    first = extras[0]
+    usual = {"kind": first.kind, "sd": first.sd, "start_sd": first.start_sd, "mean": first.mean or None,
+             "time_constant": first.time_constant, "bound": first.bound, "instead": first.instead or None}
+    return {"extra state": name, "states": " ".join(extra.name for extra in extras), "unit": first.unit,
+            "enters": first.enters, "usually": json.dumps({k: v for k, v in usual.items() if v is not None})}
 
 
 def schema() -> None:

@@ -221,7 +221,7 @@ def _case(name: str, setting: Setting[Any], cls: type[Estimator], entry: Estimat
     streams = Streams(1, scenario, variant, RUNS)
     chosen = {**entry.parameters, **parameters}
     world = setting.world(streams)
-    model = setting.design_model(entry.knowledge, world.initial_mean)
+    model = setting.told(entry.knowledge, entry.augment, world.initial_mean)
     cls.require(model)
     cls(chosen)
     steps: list[Step] = []
@@ -231,8 +231,8 @@ def _case(name: str, setting: Setting[Any], cls: type[Estimator], entry: Estimat
         steps.append(world.step(k, mean))
         mean = steps[-1].truth[:len(mean)].copy()
     tape = _tape(world.initial_mean, steps)
-    return Case(name, with_gaps(tape, streams), lambda mean: setting.design_model(entry.knowledge, mean), streams,
-                chosen)
+    return Case(name, with_gaps(tape, streams), lambda mean: setting.told(entry.knowledge, entry.augment, mean),
+                streams, chosen)
 
 
 def _tape(initial_mean: Array, steps: list[Step]) -> Tape:

@@ -97,7 +97,7 @@ class Plan:
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
                                 "source": self.catalogue[entry.plugin].hash,
-                                **entry.model_dump(include={"late", "told_faults"}, exclude_defaults=True)}
+                                **entry.model_dump(include={"late", "told_faults", "augment"}, exclude_defaults=True)}
                         for label, entry in cell.entries.items()
                     },
                 }

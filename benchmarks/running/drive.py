@@ -15,6 +15,7 @@ from ...scenarios.arrays import Array
 from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
+from ...scenarios.schema import Augment
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
 from ..scoring.faults import FaultScores
@@ -47,9 +48,9 @@ class _Scoring(Observer):
                  watch: Watch | None) -> None:
         score = setting.config.score
         self.skip = int(np.searchsorted(step_times(world), score.skip - 1e-9))
-        self.runs, self.nx, self.watch, self.seconds = world.initial_mean.shape[1], model.nx, watch, 0.0
+        self.runs, self.nx, self.watch, self.seconds = world.initial_mean.shape[1], model.own, watch, 0.0
         self.scorer = Scorer(setting.quantities(), self.runs, world.steps, self.skip, dict(score.divergence),
-                             model.performance)
+                             None if model.performance is None else model.performance[:, :model.own])
         self.innovations = InnovationScore(self.runs, world.steps, self.skip)
         self.windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), self.runs)
         self.requirements = RequirementScores(setting.config.requirements, setting.quantities(), self.runs, world.steps)
@@ -98,7 +99,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     begun = perf_counter()
     estimator.start(model, runs, random)
     started = perf_counter() - begun
-    loop = Loop(world, estimator, scoring)
+    loop = Loop(world, estimator, scoring, own=model.own)
     active, counts, extremes = np.zeros(runs), dict[str, Array](), dict[str, Array]()
     for step in loop.steps():
         scoring.k += 1
@@ -120,11 +121,11 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],
-            knowledge: Mapping[str, Any], initial_mean: Array, late: str = "drop",
-            told_faults: bool = False) -> tuple[Estimator, DesignModel]:
-    """A configured estimator and its design model, checked against each other; late, told_faults: as its entry says.
-    Raises Unsupported, ValidationError."""
-    model = setting.design_model(knowledge, initial_mean)
+            knowledge: Mapping[str, Any], initial_mean: Array, late: str = "drop", told_faults: bool = False,
+            augment: Mapping[str, Augment] | None = None) -> tuple[Estimator, DesignModel]:
+    """A configured estimator and its design model, checked against each other; late, told_faults, augment: as its entry
+    says. Raises Unsupported, ValidationError."""
+    model = setting.told(knowledge, augment or {}, initial_mean)
     estimator_class.require(model)
     estimator = for_late(estimator_class(parameters), late, getattr(setting.config.channel, "longest", 0))
     estimator.told_faults = told_faults

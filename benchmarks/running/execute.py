@@ -133,7 +133,7 @@ class _Block:
         cell = self.task.cell
         entry = cell.entries[self.label]
         estimator, model = prepare(self.setting, estimator_class(entry.plugin, self.label), entry.parameters,
-                                   entry.knowledge, world.initial_mean, entry.late, entry.told_faults)
+                                   entry.knowledge, world.initial_mean, entry.late, entry.told_faults, entry.augment)
         estimator.design(model)
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
         _warm_up(self.setting, self.task, self.label, (runs[0], runs[-1]))
@@ -167,7 +167,7 @@ def _warm_up(setting: Setting[Any], task: Task, label: str, runs: tuple[int, int
     """Compile (or load) what this estimator needs on this plant before anything is timed: three steps of two runs,
     which are the block's own so that a run that makes it raise, die or hang costs no other."""
     entry = task.cell.entries[label]
-    key = (setting.kind, repr((entry.plugin, entry.parameters, entry.knowledge, entry.late)))
+    key = (setting.kind, repr((entry.plugin, entry.parameters, entry.knowledge, entry.late, entry.augment)))
     if key in _warm:
         return
     _warm.add(key)
@@ -175,7 +175,7 @@ def _warm_up(setting: Setting[Any], task: Task, label: str, runs: tuple[int, int
     with suppress(*_caught(task, label)):  # what goes wrong here goes wrong again where it counts
         world = FirstSteps(setting.world(streams), 3)
         estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
-                                   world.initial_mean, entry.late, entry.told_faults)
+                                   world.initial_mean, entry.late, entry.told_faults, entry.augment)
         estimator.design(model)
         drive(setting, world, estimator, model, streams("estimator", label))
 

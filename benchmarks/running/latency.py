@@ -76,12 +76,12 @@ def measure(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
     try:
         world = setting.world(streams)
         estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
-                                   world.initial_mean, entry.late, entry.told_faults)
+                                   world.initial_mean, entry.late, entry.told_faults, entry.augment)
         begun = perf_counter()
         info = estimator.design(model)
         design = float(info.get("design_s", perf_counter() - begun))
         estimator.start(model, 1, streams("estimator", label))
-        loop = Loop(world, estimator, Observer())
+        loop = Loop(world, estimator, Observer(), own=model.own)
         seconds: list[float] = []
         for k in range(min(world.steps, STEPS + WARM_UP)):
             before = loop.seconds

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ...estimators.interface import Estimate, Estimator, Innovation
+from ...estimators.interface import Estimate, Estimator, Innovation, cut
 from ...estimators.late import Mailbox
 from ...scenarios.arrays import Mask
 from ...scenarios.errors import InputError
@@ -40,13 +40,15 @@ class Observer:
 class Loop:
     """A started estimator in a world. `step` goes one step ahead; seconds: spent inside the estimator so far.
 
-    idle: the estimator is called even where no run of the batch has anything to do."""
+    idle: the estimator is called even where no run of the batch has anything to do. own: how many leading states of the
+    estimator are the setting's; all are where it is None. What observers and the world see is cut to them."""
 
-    def __init__(self, world: World, estimator: Estimator, observer: Observer, *, idle: bool = True) -> None:
-        self.world, self.estimator, self.observer, self.idle = world, estimator, observer, idle
+    def __init__(self, world: World, estimator: Estimator, observer: Observer, *, idle: bool = True,
+                 own: int | None = None) -> None:
+        self.world, self.estimator, self.observer, self.idle, self.own = world, estimator, observer, idle, own
         self.mailbox = Mailbox(estimator.late)
         begun = perf_counter()
-        self.mean = estimator.estimate().mean
+        self.mean = self._estimate().mean
         self.seconds = perf_counter() - begun
 
     def steps(self) -> Iterator[Step]:
@@ -80,7 +82,7 @@ class Loop:
                                                    share))
             gone = gone + share
             if observer.predicted_wanted and (number == last or observer.every):
-                estimate = estimator.estimate()
+                estimate = self._estimate()
                 self.seconds += perf_counter() - begun
                 observer.predicted(step, number, estimate)
                 begun = perf_counter()
@@ -91,15 +93,19 @@ class Loop:
                     observer.measured(step, measurement, innovation)
                     begun = perf_counter()
             if observer.updated_wanted and (number == last or observer.every):
-                estimate = estimator.estimate()
+                estimate = self._estimate()
                 self.mean = estimate.mean
                 self.seconds += perf_counter() - begun
                 observer.updated(step, number, estimate)
                 begun = perf_counter()
         if self.world.closed_loop and not observer.updated_wanted:
-            self.mean = estimator.estimate().mean
+            self.mean = self._estimate().mean
         self.seconds += perf_counter() - begun
         return step
+
+    def _estimate(self) -> Estimate:
+        estimate = self.estimator.estimate()
+        return estimate if self.own is None or len(estimate.mean) <= self.own else cut(estimate, self.own)
 
     def _arriving(self, step: Step, number: int, gone: PerRun, listens: Mask | None) -> Iterator[Measurement]:
         """The measurements that are there at an event of a step: its own, and with the last one what comes late. Runs

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..arrays import Array
+from ..augmented import Extra
 from ..model import DesignModel
 from ..observation import observe
 from ..randomness import Streams
@@ -99,3 +100,10 @@ class Braking(Setting[BrakingConfig]):
                     told_of.target_variance_rate * period)
         return augmented_model(told, walk) if told_of.model == "augmented" else scheduled_model(told, walk,
                                                                                                   self.targets)
+
+    def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
+        """A constant bias of each sensor; f itself is a state where knowledge.model says so."""
+        rows = self.config.sensors.rows()
+        return {f"{name}-bias": (Extra(f"{name}-bias", "m" if state == 0 else "m/s" if state == 1 else "m/s^2",
+                                       "constant", float(np.sqrt(variance)), column=column),)
+                for (name, state, variance), column in zip(rows, np.eye(len(rows)), strict=True)}

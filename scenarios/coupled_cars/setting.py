@@ -4,14 +4,16 @@ The truth feels a resistive force of which the estimators know a bound only; eve
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
+from ..augmented import Extra
 from ..channels import Csma
-from ..model import Bounds, DesignModel, Linear, Reception, linear_model, product
+from ..measurement import Interval
+from ..model import Bounds, DesignModel, Linear, Reception, linear_model, product, whole_steps
 from ..observation import observe
 from ..randomness import Streams
 from ..setting import Outcome, Quantity, Setting
@@ -114,6 +116,22 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             performance=np.diag([weight.position] * n + [weight.speed] * n),
             details={"theta": told.theta, "varpi": told.varpi, "mirror": (both, both, both[:n])},
         )
+
+    def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
+        """The resistive force of each car in units of its delta_i, in place of white noise; it is smooth in truth."""
+        plant, delta = self._matrices(), self._delta(self.resolve_knowledge(knowledge))
+        scaled = plant.E * delta
+
+        def entering(column: Array) -> Callable[[Interval], Array]:
+            def gain(interval: Interval) -> Array:
+                whole_steps(interval, "the force of a car")
+                return column
+
+            return gain
+
+        return {"force": tuple(
+            Extra(f"force {i + 1}", "delta_i", "walk", 0.01, start_sd=0.2, instead=1.0,
+                  gain=entering(np.ascontiguousarray(scaled[:, i:i + 1]))) for i in range(self.cars))}
 
     def outcomes(self, world: Any, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Headway time in seconds and trains per hour at each speed.

@@ -4,13 +4,15 @@ x(k+1) = A x(k) + B w(k), y(k) = C x(k) + v(k): the plant (2) of Zou, Wang, Han,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
+from ..augmented import Extra
 from ..channels import OneAtATime, RandomAccess
+from ..measurement import Interval
 from ..model import DesignModel, Linear, linear_model, product
 from ..observation import observe
 from ..randomness import Streams
@@ -85,6 +87,21 @@ class LinearSystem(Setting[LinearConfig]):
             linear, states=self._states, measurements=tuple(f"y{i + 1}" for i in range(shape(plant.C)[0])),
             period=told.time.period, initial_mean=initial_mean,
             initial_covariance=at_step(plant.P0)(0)[:, :, None], reception=told.channel.reception())
+
+    def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
+        """Process noise correlated in time, a state for each column of B, and a constant bias of each sensor."""
+        plant = self._told(self.resolve_knowledge(knowledge)).plant
+        B, shift = at_step(plant.B), int(plant.index == "arrival")
+        (_, nw), (ny, _), period = shape(plant.B), shape(plant.C), self.config.time.period
+        process, noise = np.sqrt(np.diag(at_step(plant.Q)(0))), np.sqrt(np.diag(at_step(plant.R)(0)))
+
+        def column(j: int) -> Callable[[Interval], Array]:
+            return lambda interval: B(interval.depart + shift)[:, j:j + 1]
+
+        return {"disturbance": tuple(Extra(f"w{j + 1}", "1", "gauss-markov", float(process[j]), instead=1.0,
+                                           time_constant=10 * period, gain=column(j)) for j in range(nw)),
+                "bias": tuple(Extra(f"bias {i + 1}", "1", "constant", float(noise[i]), column=np.eye(ny)[i])
+                              for i in range(ny))}
 
     def resolve_knowledge(self, knowledge: Mapping[str, Any]) -> Knowledge:
         """As `Setting`; what is told must fit together as a plant has to."""

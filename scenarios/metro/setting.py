@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..arrays import Array
+from ..augmented import Extra
 from ..errors import InputError
 from ..faults import Jump
 from ..measurement import Interval
@@ -168,3 +169,18 @@ class Metro(Setting[MetroConfig]):
             bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=np.array(told.v_bar),
                           M=np.array([[0.5 * period], [1.0]]), N=np.array([[0.0, 1.0]]), kappa=kappa),
             reception=self.config.channel.reception())
+
+    def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
+        """The acceleration disturbance in place of white noise, and a slowly varying bias of either sensor."""
+        told: Knowledge = self.resolve_knowledge(knowledge)
+
+        def gain(interval: Interval) -> Array:
+            h = np.atleast_1d(np.asarray(interval.length, dtype=float))
+            return np.array([0.5 * h * h, h])
+
+        biases = {f"{name}-bias": (Extra(f"{name}-bias", unit, "gauss-markov", float(sd), time_constant=20.0,
+                                         column=column),)
+                  for name, unit, sd, column in zip(("position", "speed"), ("m", "m/s"), told.sensor_sd, np.eye(2),
+                                                    strict=True)}
+        return {"disturbance": (Extra("disturbance", "m/s^2", "gauss-markov", told.process_sd, time_constant=8.0,
+                                      gain=gain, instead=1.0),), **biases}

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from ..arrays import Array
+from ..augmented import Extra
 from ..measurement import Interval
 from ..measurement import told as told_covariance
 from ..model import DesignModel
@@ -72,12 +73,20 @@ class MovingBlock(Setting[MovingBlockConfig]):
             transition=self.track.transition,
             measurement=lambda x, step: x,
             transition_jacobian=self.track.jacobian,
+            input_jacobian=self.track.input_jacobian,
             measurement_jacobian=lambda x, step: identity,
             process_covariance=process_covariance,
             measurement_covariance=told_covariance(lambda step: told.tag_variance * identity),
             initial_mean=initial_mean,
             initial_covariance=told.start_variance * identity,
         )
+
+    def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
+        """The scale of each train's encoder: it counts 1 + s metres a metre."""
+        encoder = self.config.sensors.encoder
+        return {"encoder-scale": tuple(
+            Extra(f"encoder-scale-{train}", "1", "constant", encoder.bias_sd, mean=encoder.bias_mean, input=i)
+            for i, train in enumerate("ab"))}
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """rmse-per-train of x, y (m): the mean of the two trains' own RMSE, as the paper's Table II averages.

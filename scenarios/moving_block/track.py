@@ -92,6 +92,20 @@ def _jacobian(points, travel, half, radius, out):
 
 
 @njit(cache=True)
+def _travel_slope(points, travel, half, radius, out):
+    """d f / d D. points (4, S), travel (2, S), out (4, 2, S), zero on entry."""
+    for train in range(2):
+        i = 2 * train
+        for run in range(points.shape[1]):
+            distance = travel[train, run]
+            s = project(points[i, run], points[i + 1, run], half, radius) + distance / 2
+            _, _, cos, sin = place(s, half, radius)
+            turn = distance * curvature(s, half, radius) / 2
+            out[i, train, run] = cos - turn * sin
+            out[i + 1, train, run] = sin + turn * cos
+
+
+@njit(cache=True)
 def _places(s, half, radius, x, y, heading):
     for i in range(s.size):
         x[i], y[i], cos, sin = place(s[i], half, radius)
@@ -150,6 +164,12 @@ class StadiumTrack:
         out = np.zeros((4, 4, x.shape[1]))
         _jacobian(np.ascontiguousarray(x), travelled(u, interval.share), self.half, self.radius, out)
         return out
+
+    def input_jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
+        """d f / d u (4, 2, S) of `transition` at x (4, S)."""
+        out = np.zeros((4, 2, x.shape[1]))
+        _travel_slope(np.ascontiguousarray(x), travelled(u, interval.share), self.half, self.radius, out)
+        return out * interval.share
 
 
 def travelled(u: Array, share: PerRun) -> Array:
