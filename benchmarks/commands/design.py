@@ -18,6 +18,7 @@ from ...estimators.registry import estimator_class
 from ...estimators.ultimate_bound.decay import trade_off
 from ...estimators.ultimate_bound.estimators import FixedGain
 from ...estimators.ultimate_bound.gains import read_gain
+from ...estimators.ultimate_bound.moments import mean_square
 from ...estimators.ultimate_bound.system import error_system
 from ...scenarios.errors import Infeasible, InputError, Unsupported
 from ...scenarios.model import DesignModel
@@ -162,11 +163,34 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
     return _Designed({
         "bound": "none" if bound is None else f"{bound:.6g}",
         "decay theta": f"{info['theta']:.6g}",
+        **_exact(model, info["gain"]),
         "solver": info.get("solver", ""),
         "seconds": "" if seconds is None else f"{seconds:.2f}",
         "from": "" if seconds is None else "cache" if info["cached"] else "solver",
         "status": info["status"],
     }, info["gain"])
+
+
+def _exact(model: DesignModel, K: np.ndarray) -> dict[str, str]:
+    """What a constant gain's second moments really do, at the least and the greatest reception told."""
+    try:
+        system = error_system(model)
+    except Unsupported:
+        return {}
+    (first, *others) = system.nodes
+    chances = [None] if others or not first.spread else [first.mean - first.spread, first.mean + first.spread]
+    try:
+        found = [mean_square(system, K, chance) for chance in chances]
+    except Unsupported:
+        return {}
+
+    def shown(values: list[float | None]) -> str:
+        return " .. ".join("none" if value is None else f"{value:.3g}" for value in values)
+
+    return {"reception": shown([first.mean if chance is None else chance for chance in chances]) if not others else "",
+            "exact decay": shown([item.decay for item in found]),
+            "long run, noise alone": shown([item.noise for item in found]),
+            "long run, forces at their bounds": shown([item.forced for item in found])}
 
 
 def _designed_apart(setting: Setting[Any], name: str, variant: str, catalogue: Catalogue,

@@ -30,14 +30,18 @@ class Plant(Strict):
     """n cars coupled by springs (eqs. (1), (2)).
 
     cars: n; masses: kg of each car, front first, where they are not end_mass for the end cars and middle_mass for the
-    others. stiffness N/m, slack m, car_length m. drive: `distributed`, every car has a driving force (DD), or
-    `push-pull`, the end cars only (PPD). commands in the order of their steps."""
+    others. start: what the estimators believe it to be, the truth or zero in every state;
+    start_error: their first errors are uniform within +-[m, m/s] of that. stiffness N/m, slack m, car_length m.
+    drive: `distributed`, every car has a driving force (DD), or `push-pull`, the end cars only (PPD).
+    commands in the order of their steps."""
 
     kind: Literal["coupled-cars"]
     cars: Annotated[int, Field(ge=2, le=64)] = 6
     end_mass: PositiveFloat
     middle_mass: PositiveFloat
     masses: list[PositiveFloat] | None = None
+    start: Literal["truth", "zero"] = "truth"
+    start_error: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)] = [0.0, 0.0]
     stiffness: PositiveFloat
     slack: NonNegativeFloat
     car_length: PositiveFloat
@@ -132,7 +136,8 @@ class Knowledge(Strict):
     speed_limit m/s: delta_i is the resistive law at this speed (Remark 2). delta: sqrt(sum delta_i^2) in N, to which
     the delta_i are scaled. trains: range of N(k) the estimators reckon with, the channel's own where left out. theta,
     varpi: decay asked of `ultimate-bound`, bound asked of `fastest-decay`. force_share: standard deviation of the
-    white process noise force that a Kalman filter takes for the resistive force, as a share of delta_i."""
+    white process noise force that a Kalman filter takes for the resistive force, as a share of delta_i. initial_sd
+    [m, m/s]: standard deviations of the start, for covariances."""
 
     speed_limit: PositiveFloat
     delta: NonNegativeFloat | None = None
@@ -140,6 +145,7 @@ class Knowledge(Strict):
     theta: Annotated[float, Field(gt=0, lt=1)] = 0.98
     varpi: PositiveFloat
     force_share: NonNegativeFloat
+    initial_sd: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)] = [0.0, 0.0]
 
     @model_validator(mode="after")
     def _consistent(self) -> Knowledge:

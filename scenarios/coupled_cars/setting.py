@@ -23,7 +23,8 @@ from .plant import Matrices, largest_force, matrices, simulate
 
 
 class CoupledCars(Setting[CoupledCarsConfig]):
-    """State [x_1 .. x_n, v_1 .. v_n], car 1 in front; start at rest, couplers unstrained, estimators at the truth.
+    """State [x_1 .. x_n, v_1 .. v_n], car 1 in front; start at rest, couplers unstrained, estimators at
+    the truth unless plant.start or plant.start_error says otherwise.
 
     `details` of the design model: `theta` and `varpi` of the knowledge; `mirror`, the orders of states, measurements
     and forces of the train turned around. `bounds`: G = E, w_bar = delta_i; the
@@ -78,7 +79,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             received=np.ones(y.shape, dtype=bool),
             active=np.ones((steps, runs), dtype=bool),
             lengths=np.concatenate([[0.0], np.full(steps - 1, self.config.time.period)]),
-            initial_mean=truth[0].copy(),
+            initial_mean=self._believed(streams),
         )
         heard = observe(trajectory, streams, self.sensing(), self._channel(), self.config.faults, clean)
         heard.extra["received"] = heard.received.any(axis=1).astype(float)
@@ -110,7 +111,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             measurements=(*(f"position {i}" for i in names), *(f"speed {i}" for i in names)),
             period=self.config.time.period,
             initial_mean=initial_mean,
-            initial_covariance=np.zeros((2 * n, 2 * n, 1)),
+            initial_covariance=np.diag(np.repeat(np.square(told.initial_sd), n))[:, :, None],
             bounds=Bounds(G=plant.E, w_bar=delta, v_bar=np.full(2 * n, np.inf)),
             reception=self._reception(told),
             performance=np.diag([weight.position] * n + [weight.speed] * n),
@@ -165,6 +166,15 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         plant = self.config.plant
         spacing = plant.slack + plant.car_length
         return np.array([*(spacing * (plant.cars - 1 - i) for i in range(plant.cars)), *[0.0] * plant.cars])
+
+    def _believed(self, streams: Streams) -> Array:
+        """The estimators' start (2n, S)."""
+        plant, n = self.config.plant, self.cars
+        mean = np.repeat(self._start()[:, None] if plant.start == "truth" else np.zeros((2 * n, 1)), len(streams.runs),
+                         axis=1)
+        if any(plant.start_error):
+            mean += np.repeat(plant.start_error, n)[:, None] * streams("start").uniform(-1.0, 1.0, 2 * n)
+        return mean
 
     def _channel(self) -> Any:
         return of_cars(self.config.channel, self.cars)
