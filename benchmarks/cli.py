@@ -27,6 +27,7 @@ from .commands.run import run
 from .commands.show import list_, schema, show
 from .commands.sweep import sweep
 from .commands.timing import timing
+from .commands.tune import tune_
 from .isolation.process import end_idle
 from .isolation.server import worded
 from .studies.complete import Interrupted
@@ -35,9 +36,9 @@ app = typer.Typer(
     add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
     invoke_without_command=True)
 for function, name in (
-        (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (design, "design"),
-        (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"), (plot, "plot"),
-        (check, "check"), (inspect, "inspect"), (compare, "compare"), (schema, "schema")):
+        (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (tune_, "tune"),
+        (design, "design"), (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"),
+        (plot, "plot"), (check, "check"), (inspect, "inspect"), (compare, "compare"), (schema, "schema")):
     app.command(name)(function)
 app.add_typer(new, name="new")
 
