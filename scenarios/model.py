@@ -99,8 +99,8 @@ class Modes:
 class Inclusion:
     """What surely holds of the first n states: intervals [low, high] from bounds of all errors, none of them random.
 
-    low, high (n, 1): at the start. predict(low, high, u, interval), observe(low, high, measurement): (n, S) each, the
-    intervals after them."""
+    low, high (n, 1 or S): at the start. predict(low, high, u, interval), observe(low, high, measurement): (n, S)
+    each, the intervals after them."""
 
     low: Array
     high: Array

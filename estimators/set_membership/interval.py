@@ -28,7 +28,7 @@ class IntervalObserver(Estimator):
         super().start(model, runs, random)
         assert model.inclusion is not None
         self.inclusion = model.inclusion
-        self.low, self.high = (np.repeat(np.asarray(side, dtype=float), runs, axis=1)
+        self.low, self.high = (np.broadcast_to(np.asarray(side, dtype=float), (len(side), runs)).copy()
                                for side in (model.inclusion.low, model.inclusion.high))
         self._mean = np.array(model.initial_mean, dtype=float)
         self._shape = np.empty((1, 1, runs))

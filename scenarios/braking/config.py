@@ -84,12 +84,14 @@ class Knowledge(Strict):
 
     model: `grid` (four states, one mode per value of f), `augmented` (f appended, bilinear) or `scheduled` (f
     appended, a_z taken as known: linear). grid: values of f, in order. initial_variance of (D, v, a^, a_z).
-    rate_initial, rate_initial_variance, rate_variance_rate (1/s): f as a random walk; target_variance_rate: process
+    rate_prior: over the grid, `uniform`, or `normal` with the mean and variance of the next two. rate_initial,
+    rate_initial_variance, rate_variance_rate (1/s): f as a random walk; target_variance_rate: process
     noise on a_z in the two models with f appended. nominal: the f of the grid model's plain linear part."""
 
     model: Literal["grid", "augmented", "scheduled"] = "grid"
     grid: Annotated[list[NonNegativeFloat], Field(min_length=1)]
     initial_variance: Annotated[list[NonNegativeFloat], Field(min_length=4, max_length=4)]
+    rate_prior: Literal["uniform", "normal"] = "uniform"
     rate_initial: float = 1.0
     rate_initial_variance: PositiveFloat = 0.01
     rate_variance_rate: PositiveFloat = 1e-3
@@ -102,6 +104,14 @@ class Knowledge(Strict):
         if not (np.all(steps > 0) or np.all(steps < 0)):
             raise ValueError("grid needs its values in increasing or decreasing order, each once")
         return self
+
+    @property
+    def prior(self) -> Array:
+        """Probabilities of the grid's values (m,)."""
+        weight = np.ones(len(self.grid))
+        if self.rate_prior == "normal":
+            weight = np.exp(-0.5 * (np.array(self.grid) - self.rate_initial) ** 2 / self.rate_initial_variance)
+        return weight / weight.sum()
 
 
 class BrakingConfig(ScenarioConfig):

@@ -95,7 +95,7 @@ class Braking(Setting[BrakingConfig]):
                     self.config.disturbance.speed_variance_rate * period, C,
                     np.diag([variance for *_, variance in rows]), tuple(name for name, *_ in rows))
         if told_of.model == "grid":
-            return grid_model(told, np.array(told_of.grid), told_of.nominal)
+            return grid_model(told, np.array(told_of.grid), told_of.prior, told_of.nominal)
         walk = Walk(told_of.rate_initial, told_of.rate_initial_variance, told_of.rate_variance_rate * period,
                     told_of.target_variance_rate * period)
         return augmented_model(told, walk) if told_of.model == "augmented" else scheduled_model(told, walk,

@@ -34,12 +34,13 @@ class Told:
     measurements: tuple[str, ...]
 
 
-def grid_model(told: Told, grid: Array, nominal: float) -> DesignModel:
-    """The four-state model with one mode per grid value of f; its plain linear part believes f = `nominal`."""
+def grid_model(told: Told, grid: Array, prior: Array, nominal: float) -> DesignModel:
+    """The four-state model with one mode per grid value of f, prior (m,) over them; its plain linear part
+    believes f = `nominal`."""
     matrices = [told.plant.at(float(value)) for value in grid]
     Q = np.diag([0.0, told.speed_variance, 0.0, 0.0])
     modes = Grid(PARAMETER, grid, np.array([A for A, _ in matrices]), np.array([B for _, B in matrices]), told.C, Q,
-                 told.R, np.full(len(grid), 1 / len(grid)))
+                 told.R, prior)
     A, B = told.plant.at(nominal)
     zero = np.zeros(4)
     linear = Linear(lambda k: A, lambda k: B, lambda k: zero, lambda k: told.C, lambda k: Q, lambda k: told.R)

@@ -29,6 +29,7 @@ from ..setting import Outcome, Quantity, Setting
 from ..world import Sensing, Trajectory, World
 from .config import Knowledge, MetroConfig
 from .disturbance import UNTOUCHED
+from .inclusion import Rectangles
 
 
 class Metro(Setting[MetroConfig]):
@@ -168,7 +169,9 @@ class Metro(Setting[MetroConfig]):
             initial_mean=initial_mean, initial_covariance=np.diag(np.square(told.initial_sd))[:, :, None],
             bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=np.array(told.v_bar),
                           M=np.array([[0.5 * period], [1.0]]), N=np.array([[0.0, 1.0]]), kappa=kappa),
-            reception=self.config.channel.reception())
+            reception=self.config.channel.reception(),
+            inclusion=Rectangles(transition, told.w_bar, np.array(told.v_bar)).inclusion(
+                initial_mean, np.array(self.config.plant.start_error)))
 
     def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
         """The acceleration disturbance in place of white noise, and a slowly varying bias of either sensor."""

@@ -4,10 +4,12 @@ Known answers come from the paper's eqs. (4) and (23) and from finite difference
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.kalman import ExtendedKalman, Kalman
 from railstate.estimators.multiple_model.oracle import KnownParameterKalman
@@ -185,10 +187,11 @@ def test_augmented_kalman_is_exact() -> None:
 
 def test_scenario_has_the_public_names() -> None:
     scenario = load("braking-rate")
-    assert tuple(scenario.variants) == VARIANTS
+    assert tuple(name for name in scenario.variants if name not in scenario.requested) == VARIANTS
+    assert scenario.requested == {"prior-normal", "prior-uniform"}
     labels = {"rbpf-static", "rbpf", "rbpf-bootstrap", "sma", "sma-heaviest", "gsma", "gsma-heaviest",
               "gsma-memoryless", "gsma-2000", "imm-uniform", "imm-third", "imm-sticky", "augmented-kalman",
-              "kalman-known-f", "ekf", "ukf", "ckf"}
+              "kalman-known-f", "ekf", "ukf", "ckf", "sma-sticky", "gsma-sticky"}
     for variant in VARIANTS:
         chosen = scenario.setting(variant)
         assert {label for label, entry in chosen.config.estimators.items() if entry.default} == labels
@@ -216,3 +219,15 @@ def test_mistakes_are_named(key: str, value: object, words: tuple[str, ...]) -> 
         load("braking-rate", {key: value})
     for word in words:
         assert word in str(caught.value)
+
+
+def test_one_prior_for_all():
+    """`normal` is N(1, .1^2) cut to the grid; `prior-uniform` tells those with f appended the grid's own moments."""
+    scenario = load("braking-rate")
+    grid = np.array(scenario.setting("paper").config.knowledge.grid)
+    told = {name: scenario.setting(name).design_model({}, np.zeros((4, 1))).modes for name in ("paper", "prior-normal")}
+    assert_allclose(told["paper"].prior, 1 / 11, rtol=1e-15)
+    weight = np.array([math.exp(-0.5 * ((f - 1.0) / 0.1) ** 2) for f in grid])
+    assert_allclose(told["prior-normal"].prior, weight / weight.sum(), rtol=1e-12)
+    knowledge = scenario.setting("prior-uniform").config.knowledge
+    assert_allclose([knowledge.rate_initial, knowledge.rate_initial_variance], [grid.mean(), grid.var()], rtol=1e-12)

@@ -1,0 +1,47 @@
+"""What surely holds of the metro's state: intervals of position and speed from the bounds of disturbance and sensors.
+
+Both states grow with both states, so the corners of a rectangle of states bound where it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array
+from ..measurement import Interval, Measurement
+from ..model import Inclusion
+
+
+@dataclass(frozen=True)
+class Rectangles:
+    """The two functions of an `Inclusion`. transition: the design model's; w_bar m/s^2; v_bar (2,) m, m/s."""
+
+    transition: Callable[[Array, Array, Interval], Array]
+    w_bar: float
+    v_bar: Array
+
+    def inclusion(self, mean: Array, start: Array) -> Inclusion:
+        """From mean (2, S) +- start (2,)."""
+        return Inclusion(mean - start[:, None], mean + start[:, None], self.predict, self.observe)
+
+    def predict(self, low: Array, high: Array, u: Array, interval: Interval) -> tuple[Array, Array]:
+        """Where the corners go, w_bar to either side; low, high (2, S). A gradient lasts longer than an interval of
+        positions is wide, so that no edge but one lies in it."""
+        h = np.asarray(interval.length, dtype=float)
+        corners = np.stack([np.stack([s, v]) for s in (low[0], high[0]) for v in (low[1], high[1])], axis=1)
+        moved = self.transition(corners, u, interval)
+        push = self.w_bar * np.stack(np.broadcast_arrays(0.5 * h * h, h))
+        push = push.reshape(2, -1)
+        return moved.min(axis=1) - push, moved.max(axis=1) + push
+
+    def observe(self, low: Array, high: Array, measurement: Measurement) -> tuple[Array, Array]:
+        """What agrees with the readings; where nothing does, a bound is wrong and the readings stand alone."""
+        bar = self.v_bar[:, None]
+        below, above = measurement.y - bar, measurement.y + bar
+        least, most = np.maximum(low, below), np.minimum(high, above)
+        wrong = least > most
+        least, most = np.where(wrong, below, least), np.where(wrong, above, most)
+        heard = measurement.received
+        return np.where(heard, least, low), np.where(heard, most, high)

@@ -1,0 +1,59 @@
+"""The metro's inclusion: it holds the truth wherever the bounds do, and agrees with a loop over corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from railstate.benchmarks.running.drive import drive, prepare
+from railstate.estimators.registry import estimators
+from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Interval, Measurement
+from railstate.scenarios.randomness import Streams
+
+
+def observer(variant, runs, skip=0.0):
+    setting = load("ningbo-metro", {"score.skip": skip}).setting(variant)
+    streams = Streams(5, "ningbo-metro", variant, range(runs))
+    world = setting.world(streams)
+    estimator, model = prepare(setting, estimators()["interval"], {}, {}, world.initial_mean)
+    return setting, world, estimator, model, streams("estimator", "interval")
+
+
+@pytest.mark.parametrize("variant", ["white", "sinusoid", "switching", "physical", "switching-bias"])
+def test_the_truth_is_always_inside_where_the_bounds_hold(variant):
+    """Position's claim in every step of 10 runs, and it is far narrower than the sensor's bound of 1 m."""
+    setting, world, estimator, model, random = observer(variant, 10)
+    scored = drive(setting, world, estimator, model, random).scored
+    assert not scored.status.any()
+    assert (scored.metrics["coverage", "ellipsoid"] == 1.0).all()
+    assert scored.metrics["half-width", "position"].mean() < 0.75
+
+
+def test_a_step_against_a_loop_over_corners_and_readings():
+    _, world, estimator, model, random = observer("switching", 3)
+    estimator.start(model, 3, random)
+    for k in range(40):
+        step, low, high = world.step(k, world.initial_mean), estimator.low.copy(), estimator.high.copy()
+        interval = Interval(k + 1, 0.2 * k, 0.2)
+        estimator.predict(step.u, interval)
+        event = step.events[0]
+        estimator.update(Measurement(event.y, event.received, k + 1))
+        for r in range(3):
+            s, v = (np.linspace(low[i, r], high[i, r], 3) for i in range(2))
+            ends = np.array([model.transition(np.array([[a], [b]]), step.u[:, r:r + 1], interval)[:, 0]
+                             for a in s for b in v])
+            push = 0.15 * np.array([0.02, 0.2])
+            bar = np.array([1.0, 0.2])
+            assert_allclose(estimator.low[:, r], np.maximum(ends.min(0) - push, event.y[:, r] - bar), atol=1e-12)
+            assert_allclose(estimator.high[:, r], np.minimum(ends.max(0) + push, event.y[:, r] + bar), atol=1e-12)
+
+
+def test_what_is_not_heard_changes_nothing_and_a_wrong_bound_leaves_the_readings():
+    _, world, estimator, model, random = observer("white", 2)
+    estimator.start(model, 2, random)
+    low = estimator.low.copy()
+    y = world.initial_mean + 100.0
+    estimator.update(Measurement(y, np.array([[False, True], [False, False]]), 0))
+    assert (estimator.low[:, 0] == low[:, 0]).all() and estimator.low[1, 1] == low[1, 1]
+    assert_allclose([estimator.low[0, 1], estimator.high[0, 1]], y[0, 1] + np.array([-1.0, 1.0]))
