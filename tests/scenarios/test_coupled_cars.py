@@ -86,7 +86,7 @@ def test_a_run_does_not_depend_on_its_neighbours() -> None:
 def test_input_is_that_of_the_interval_that_ends_at_the_step() -> None:
     world = setting().world(Streams(0, "cbtc-csma", "uniform", [0]))
     assert world.steps == 9921
-    assert world.lengths[0] == 0.0 and (world.lengths[1:] == 1.0).all()
+    assert world.lengths[0] == 0.0 and (world.lengths[1:] == 0.1).all()  # s
     end, middle = world.u[:, 0, 0], world.u[:, 1, 0]
     for k, force in ((1, 2.8e4), (3000, 2.8e4), (3001, 2.48e4), (6250, 2.48e4), (6251, -0.28e4), (9920, -0.28e4)):
         assert (end[k], middle[k]) == (force, force / 2)
