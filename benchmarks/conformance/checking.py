@@ -71,7 +71,9 @@ def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], sc
         except ValidationError as error:
             report.left_out[case.name] = "; ".join(describe(error, cls.Parameters, "parameters"))
             continue
-        except Exception as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit and the like too
             report.findings.append(Finding("runs", case.name, "design, start, predict, update and estimate do their "
                                            "work", raised(error), "see the line named above; start begins with "
                                            "super().start(model, runs, random)"))
@@ -82,7 +84,9 @@ def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], sc
                 happened = rule.test(trial)
             except DoesNotApply:
                 continue
-            except Exception as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
                 happened = raised(error)
             if happened is None:
                 report.kept.setdefault(case.name, []).append(rule.name)

@@ -20,6 +20,8 @@ from .trial import CLAIMS, DoesNotApply, Record, Rule, Trial, difference, feed
 
 ALIKE = 1e-9
 """How far a claimed matrix may be from symmetric and semi-definite, relative to its largest element."""
+CERTAIN, SINGULAR = 1e-6, 1e-13
+"""Error that an element without variance may have, relative; eigenvalue of correlations that counts as none."""
 MATRICES = ("covariance", "ellipsoid")
 ABSURD = 1e9
 
@@ -137,10 +139,56 @@ def _claims(trial: Trial) -> str | None:
                     return f"{when} {name} of run {run} {wrong}"
         if estimate.bound is not None and (~(estimate.bound >= 0) & (trial.record.status == Status.ok)).any():
             return f"{when} bound is {estimate.bound.tolist()}: a mean square is not negative"
+    found = _certain_but_wrong(trial)
+    if found:
+        return found
     last, model = trial.record.estimates[-1], trial.case.model(trial.case.tape.initial_mean)
     missing = [name for name in trial.cls.claims if getattr(last, name) is None
                and (name != "bound" or model.performance is not None)]  # without a performance there is none to bound
     return f"claims lists {', '.join(missing)}, but the last estimate has none" if missing else None
+
+
+def _certain_but_wrong(trial: Trial) -> str | None:
+    """A covariance that leaves no room for the error that there is, at the end of a step."""
+    tape, record = trial.case.tape, trial.record
+    for event in [first - 1 for first in tape.firsts[1:]] + [len(tape.begins) - 1]:
+        estimate = record.estimates[2 * event + 2]
+        if estimate.covariance is None:
+            continue
+        n = len(estimate.covariance)
+        covariance = np.broadcast_to(estimate.covariance, (n, n, len(tape.runs)))
+        truth = tape.truth[event, :n]
+        errors = estimate.mean[:n] - truth
+        for run in np.flatnonzero(record.status == Status.ok):
+            found = _excluded(covariance[:, :, run], errors[:, run], CERTAIN * (1 + np.abs(truth[:, run])))
+            if found:
+                return f"{record.when[2 * event + 2]} covariance of run {run} {found}"
+    return None
+
+
+def _excluded(covariance: Array, error: Array, slack: Array) -> str | None:
+    """An error (n,) beyond its slack (n,) in a direction in which a covariance (n, n) has no variance."""
+    sd = np.sqrt(np.diag(covariance))
+    i = int(np.argmax((sd == 0) & (np.abs(error) > slack)))
+    if sd[i] == 0 and abs(error[i]) > slack[i]:
+        return f"has no variance of element {i}, whose error is {error[i]:.3g}"
+    free = sd > 0
+    scale = np.outer(sd[free], sd[free])
+    values, directions = np.linalg.eigh(covariance[np.ix_(free, free)] / scale)
+    far = np.abs(directions.T @ (error[free] / sd[free]))
+    allowed = np.abs(directions.T) @ (slack[free] / sd[free])
+    if ((values < SINGULAR) & (far > np.maximum(1.0, allowed))).any():
+        return f"is singular, and leaves no room for the error {error.tolist()}"
+    return None
+
+
+def _valid_data(trial: Trial) -> str | None:
+    status, reasons = trial.record.status, trial.record.reasons
+    lost = np.flatnonzero((status != Status.ok) & (status != Status.infeasible))
+    if not len(lost):
+        return None
+    run = int(lost[0])
+    return f"{len(lost)} of {len(status)} runs are lost; {run} is {Status(status[run]).name}: {reasons.get(run, '')}"
 
 
 def _statuses(trial: Trial) -> str | None:
@@ -276,11 +324,15 @@ RULES = (
          "u, y, received, the truth and the design model's arrays are left as they are",
          "copy before changing: x = model.initial_mean.copy(), no in-place operators on what was handed in", _inputs),
     Rule("claims",
-         "covariances and ellipsoids symmetric and positive semi-definite, bounds not negative, all of `claims` made",
-         "symmetrise (P + P') / 2, use the Joseph form, or drop the claim", _claims),
+         "covariances and ellipsoids symmetric and positive semi-definite, with room for the errors made, bounds not "
+         "negative, all of `claims` made",
+         "symmetrise (P + P') / 2, use the Joseph form, claim no certainty that is none, or drop the claim", _claims),
     Rule("statuses",
          "finite numbers wherever status is ok; a reason wherever it is not",
          "flag(self, failed, Status.failed, 'why') for the runs (S,) that went wrong", _statuses),
+    Rule("valid data",
+         "no run is lost on the data of the model or of a scenario, unless its design is infeasible",
+         "see the reason: a filter that works on such data flags none", _valid_data),
     Rule("pickling",
          "class, parameters and instance survive pickling, since runs go to other processes",
          "define the class at the top level of a module; keep lambdas, files and locks out of __init__", _pickling),

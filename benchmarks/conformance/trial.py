@@ -22,6 +22,8 @@ from ..running.loop import Loop, Observer
 from .tapes import Case, Tape
 
 HERE = Path(__file__).resolve().parents[2]
+ROUNDING = 1e-10
+"""Differences below this, relative to the largest number at hand, are rounding."""
 CLAIMS = tuple(item.name for item in fields(Estimate))
 
 
@@ -124,7 +126,7 @@ def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | 
                   recorder.innovations)
 
 
-def raised(error: Exception) -> str:
+def raised(error: BaseException) -> str:
     """An exception with the place in the plug-in where it came from."""
     frames = traceback.extract_tb(error.__traceback__)
     plug_in = [frame for frame in frames if f"{os.sep}railstate{os.sep}" not in frame.filename
@@ -156,11 +158,19 @@ def difference(one: Record, other: Record, which: list[int] | None = None, *,
             for place in np.argwhere((mine != theirs) & ~(np.isnan(mine) & np.isnan(theirs))).tolist():
                 *index, run = place
                 return (f"{when} {name}{index or ''} of run {runs[run]} is {mine[tuple(place)]:.17g}, otherwise "
-                        f"{theirs[tuple(place)]:.17g}")
+                        f"{theirs[tuple(place)]:.17g}{_how_far(mine, theirs)}")
     ended = other.status if which is None else other.status[which]
     if statuses and (one.status != ended).any():
         return f"statuses at the end are {one.status.tolist()}, otherwise {ended.tolist()}"
     return None
+
+
+def _how_far(mine: Array, theirs: Array) -> str:
+    """Whether two arrays that differ are the same but for rounding, in words."""
+    largest = np.abs(theirs).max()
+    if np.isfinite(largest) and (np.abs(mine - theirs) <= ROUNDING * largest).all():
+        return " (inexact: only the last digits differ)"
+    return " (wrong: more than the last digits)"
 
 
 def _copied(estimate: Estimate) -> Estimate:
