@@ -117,7 +117,8 @@ def tune(task: Task, axes: Sequence[Axis], budget: int) -> Tuned:
         raise InputError(f"--over: all {len(found.losses)} evaluations of {task.label} ended infeasible or lost; other "
                          "limits may do")
     entries = {"tuned": told(found.values), "untuned": untuned}
-    return Tuned(entries["tuned"], found, {name: task.score(entry, training=True) for name, entry in entries.items()},
+    written = {key: value for key, value in entries["tuned"].items() if key not in ("note", "default")}
+    return Tuned(written, found, {name: task.score(entry, training=True) for name, entry in entries.items()},
                  {name: task.score(entry, training=False) for name, entry in entries.items()})
 
 
