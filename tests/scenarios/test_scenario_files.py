@@ -18,7 +18,7 @@ BAD = {
     "unknown-key": (SCENARIO.replace("period = 1.0", "period = 1.0\nperoid = 2"),
                     "time.peroid: unknown key (got 2); allowed: period, steps"),
     "unknown-channel-key": (SCENARIO.replace("p = 0.8", "p = 0.8\nq = 1"),
-                            "channel.q: unknown key (got 1); allowed: kind, p"),
+                            "channel.q: unknown key (got 1); allowed: silent, kind, p"),
     "negative-period": (SCENARIO.replace("period = 1.0", "period = -1.0"), "time.period"),
     "negative-variance": (SCENARIO.replace("R = [[1]]", "R = [[-1]]"), "plant.R"),
     "missing": (SCENARIO.replace("R = [[1]]\n", ""), "plant.R: missing"),
