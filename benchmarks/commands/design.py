@@ -213,7 +213,8 @@ def _plain(setting: Setting[Any], name: str, variant: str, entry: EstimatorEntry
 def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator],
              entry: EstimatorEntry) -> tuple[Estimator, DesignModel]:
     world = setting.world(Streams(0, name, variant, (0,)))
-    return prepare(setting, cls, entry.parameters, entry.knowledge, world.initial_mean, entry.augment)
+    return prepare(setting, cls, entry.parameters, entry.knowledge, world.initial_mean,
+                   augment=entry.augment)
 
 
 def _setting(scenario: str, theta: float | None, delta: float | None, set_: list[str]) -> tuple[Setting[Any], str, str]:

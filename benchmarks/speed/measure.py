@@ -43,7 +43,7 @@ def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> Ours:
     parts, last = [], np.empty((0, runs))
     for repeat in range(repeats + 1):
         estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
-                                   world.initial_mean, entry.augment)
+                                   world.initial_mean, augment=entry.augment)
         estimator.design(model)
         random = Streams(1, cell.scenario, cell.variant, range(runs))("estimator", label)
         begun = perf_counter()
