@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...estimators.interface import Estimate
-from ...scenarios.arrays import Array
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.requirements import Allowance, Confidence, Percentile, Requirement, Speed, Stop
 from ...scenarios.setting import Outcome, Quantity
 from ...scenarios.world import Step
@@ -71,11 +71,11 @@ class RequirementScores:
             return {}
         out: dict[Outcome, Array] = {}
         take = slice(0, self.steps)
-        kept: dict[str, tuple[Array, ...]] = {}
+        kept: dict[str, tuple[Array, Array, Array, Array]] = {}
         for q, item in enumerate(self.quantities):
             parts = (self.error[take, q], self.claim[take, q], self.truth[take, q], self.counts[take, q])
-            kept[item.name] = tuple(np.ascontiguousarray(part.T) for part in parts)
-            error, _, truth, counts = kept[item.name]
+            error, claim, truth, counts = (np.ascontiguousarray(part.T) for part in parts)
+            kept[item.name] = error, claim, truth, counts
             found = percentiles(error, counts, np.array(PERCENTILES))
             out.update({(f"p{percent:.0f}", item.name, item.unit): found[i] for i, percent in enumerate(PERCENTILES)})
             if len(self.reference):
@@ -117,6 +117,6 @@ class RequirementScores:
         return {**out, ("over", name, unit): over, ("under", name, unit): under}
 
 
-def _known(kept: Array, value: Array) -> Array:
+def _known(kept: Mask, value: Array) -> Array:
     """1 where kept, 0 where not, NaN where there is no value to go by."""
     return np.where(np.isnan(value), np.nan, np.asarray(kept, dtype=float))

@@ -91,9 +91,9 @@ def power_of(transition: Array) -> Callable[[PerRun], Array]:
 
     Raises ValueError where a power is no transition matrix."""
     values, vectors = np.linalg.eig(transition)
-    if (np.iscomplexobj(values) and np.abs(values.imag).max() > 1e-12) or values.real.min() <= 0:
+    if np.abs(np.imag(values)).max() > 1e-12 or np.real(values).min() <= 0:
         raise ValueError("the modes' transition matrix has no powers that are transition matrices")
-    values, vectors = values.real, vectors.real
+    values, vectors = np.real(values), np.real(vectors)
     inverse = np.linalg.inv(vectors)
     parts = np.stack([vectors[:, i, None] * inverse[i] for i in range(len(values))])
     whole = transition[:, :, None]

@@ -34,4 +34,4 @@ def slip_modes(odometer: Odometer, initial_mean: Array, sensors: Sequence[str], 
         transition = np.kron(transition, axle)
     prior = np.zeros(len(modes))
     prior[0] = 1.0
-    return Modes(tuple(modes), prior, transition)
+    return Modes(tuple(modes), prior, np.asarray(transition, dtype=float))

@@ -107,7 +107,8 @@ class Odometry(Setting[OdometryConfig]):
             "gnss": (fixed, seen, np.full_like(position, sensors.gnss.told**2)),
             "radar": (doppler, heard, np.full_like(position, sensors.radar.noise**2))}
         names = sensors.measured
-        y, there, variance = (np.stack([readings[name][i] for name in names], axis=1) for i in range(3))
+        y, variance = (np.stack([readings[name][i] for name in names], axis=1).astype(float) for i in (0, 2))
+        there = np.stack([readings[name][1] for name in names], axis=1)
         arrived = config.channel.draw(streams("channel"), steps, len(names))
         mean = np.diff(position, axis=0, prepend=np.full((1, len(streams.runs)), plant.line.stops[0])) / period
         truth = np.stack([position, speed, bias, *(np.repeat(wheel_scale[i][None], steps, axis=0) for i in range(2)),
@@ -127,7 +128,8 @@ class Odometry(Setting[OdometryConfig]):
         count = np.where(ride.standing, steps - moved, 0)
         total = np.concatenate([np.zeros((1, reading.shape[1])), np.cumsum(reading, axis=0)])
         mean = (total[1:] - np.take_along_axis(total, moved + 1, axis=0)) / np.maximum(count, 1)
-        return (steps - braked) * self.config.time.period, mean, count.astype(float)
+        since = np.asarray((steps - braked) * self.config.time.period, dtype=np.float64)
+        return since, np.asarray(mean, dtype=np.float64), count.astype(np.float64)
 
     def _climb(self, position: Array, common: Streams) -> Array:
         """The gradient's pull as the accelerometer feels it (K, S), m/s^2: the map's, with an error per section."""

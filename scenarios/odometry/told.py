@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from ..arrays import Array
+from ..arrays import Array, Mask
 from ..measurement import Interval, Measurement, told
 from ..model import DesignModel
 from ..railway.dynamics import Slope
@@ -74,7 +74,7 @@ class Odometer:
     variances: Array
     period: float
     slope: Slope
-    whole: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
+    whole: dict[int, tuple[Array, Mask, Mask]] = field(default_factory=dict)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -84,7 +84,7 @@ class Odometer:
         radar = ("scale-radar",) if "radar" in self.sensors else ()
         return "position", "speed", "bias", "scale-a", "scale-b", "mean-speed", *radar
 
-    def _clock(self, interval: Interval, runs: int) -> tuple[Array, Array, Array]:
+    def _clock(self, interval: Interval, runs: int) -> tuple[Array, Mask, Mask]:
         """Length s, whether it begins its step, whether it is the whole of it; (S,) each."""
         if isinstance(interval.length, float) and interval.share == 1.0:
             if runs not in self.whole:

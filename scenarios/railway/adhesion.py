@@ -92,9 +92,9 @@ class Adhesion(Strict):
         inside = [any(a <= edge < b for a, b in low) for edge in edges]
         base = [self.tunnel if any(a <= edge < b for a, b in tunnels) else self.open for edge in edges]
         cells = int((stops[-1] - stops[0] + 200.0) / self.cell) + 2
-        phase = random.uniform(*self.phase, 2)
-        strength = random.uniform(*self.strength, 2, cells)
-        friction = random.uniform(*self.friction, cells)
+        phase = random.uniform(self.phase[0], self.phase[1], 2)
+        strength = random.uniform(self.strength[0], self.strength[1], 2, cells)
+        friction = random.uniform(self.friction[0], self.friction[1], cells)
         return Rail(np.array(edges), np.array(base), np.array(inside), stops[0], self.cell, friction, strength, phase)
 
     @property
