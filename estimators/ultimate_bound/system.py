@@ -38,4 +38,6 @@ def error_system(model: DesignModel) -> ErrorSystem:
         nodes = (lmi.packet(reception.p_low, reception.p_high, C.shape[0], reception.variance),)
     noise_root = cast(Array, np.linalg.cholesky(linear.R(0)))
     mirror = cast(tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] | None, model.details.get("mirror"))
+    if model.appended:
+        mirror = None  # an order of the plain model's states
     return ErrorSystem(linear.A(0), C, bounds.G, performance, noise_root, bounds.w_bar, nodes, mirror)
