@@ -107,7 +107,7 @@ class _Block:
         caught = _caught(self.task, self.label)
         try:
             driven = self._drive(runs, world, watch)
-            rows, curves = self._table(runs, driven), _curves(self.task, self.label, self.setting, driven)
+            rows, curves = self._table(runs, driven), self._curves(runs, driven)
             kept = watch.tables(step_times(driven.world))
             if driven.world.closed_loop:
                 kept += watch.extras(driven.world)
@@ -138,6 +138,16 @@ class _Block:
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
         _warm_up(self.setting, self.task, self.label, (runs[0], runs[-1]))
         return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None)
+
+    def _curves(self, runs: tuple[int, ...], driven: Driven) -> list[pa.Table]:
+        """Sums over the runs that finished, as rows are judged: where some were lost, the others are driven again."""
+        finished = tuple(run for run, status in zip(runs, driven.scored.status, strict=True) if status == Status.ok)
+        if not finished:
+            return []
+        if len(finished) < len(runs):
+            watch = _Keeper(self.setting, self.task, self.label, ())
+            driven = self._drive(finished, self.worlds.for_runs(finished), watch)
+        return _curves(self.task, self.label, self.setting, driven)
 
     def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
         units = {item.name: item.unit for item in self.setting.quantities()}
