@@ -5,6 +5,8 @@ matrix, and every loop over runs is one the compiler vectorises."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ...estimators.kernels.core import factorise, forward, gather3, kernel, tile_width
@@ -12,6 +14,9 @@ from ...estimators.kernels.core import factorise, forward, gather3, kernel, tile
 LANES = 8
 NO_ERROR = 1e-12
 """A squared error under this share of a variance is none: a hundred times what counts as no variance beside it."""
+FINENESS, BINS = 16, 640
+"""Bins of an octave, and all bins, of the histogram of a run's NEES over the steps; the middle one begins at 1."""
+LOWEST, HIGHEST = 2.0 ** (-BINS / 2 / FINENESS), 2.0 ** (BINS / 2 / FINENESS)
 
 
 @kernel
@@ -58,11 +63,12 @@ def score_matrix(vector, truth, matrix, live, form, lost):
 
 
 @kernel
-def score_nees(vector, truth, matrix, live, form, lost, total, count, curve):
+def score_nees(vector, truth, matrix, live, form, lost, total, count, curve, middle, limit, inside, histogram):
     """`score_matrix` of a covariance, taken up by total, count (S,) and curve (6, ..) of this step: the sum over runs
-    in [4, 0], their number in [5, 0]."""
+    in [4, 0], their number in [5, 0]. The rest as in `add_spread`."""
     score_matrix(vector, truth, matrix, live, form, lost)
     add_forms(form, live, total, count, curve[4], curve[5])
+    add_spread(form, live, middle, limit, inside, histogram)
 
 
 @kernel
@@ -239,3 +245,38 @@ def add_forms(form, live, total, count, curve, curve_count):
         count[s] += ones[s]
     curve[0] += lane_sum(value)
     curve_count[0] += lane_sum(ones)
+
+
+@kernel
+def add_spread(form, live, middle, limit, inside, histogram):
+    """Of live runs whose form (S,) is not NaN: inside (S,) counts the steps with form <= limit, histogram (S, BINS)
+    form / middle, each octave in FINENESS equal parts; what is beyond either end, 0 and infinity too, is in the bin
+    there. No logarithm: which bin it is may not hang on its rounding."""
+    for s in range(live.shape[0]):
+        if live[s] > 0.0 and form[s] == form[s]:
+            inside[s] += 1.0 if form[s] <= limit else 0.0
+            size, place = form[s] / middle, 0
+            if size > HIGHEST:
+                place = BINS - 1
+            elif size > LOWEST:
+                part, octave = math.frexp(size)
+                place = min(BINS // 2 + (octave - 1) * FINENESS + int((2.0 * part - 1.0) * FINENESS), BINS - 1)
+            histogram[s, place] += 1
+
+
+@kernel
+def histogram_medians(histogram):
+    """The medians (S,) of the sizes in histogram (S, BINS), by linear interpolation within a bin, which is at most
+    1 / FINENESS wide. 0 and infinity in the first and last bin, NaN where nothing was counted."""
+    out = np.full(histogram.shape[0], np.nan)
+    for s in range(histogram.shape[0]):
+        half, below = histogram[s].sum() / 2.0, 0
+        for place in range(histogram.shape[1]):
+            count = histogram[s, place]
+            if count and below + count >= half:
+                octave, part = divmod(place - BINS // 2, FINENESS)
+                size = 2.0**octave * (1.0 + (part + (half - below) / count) / FINENESS)
+                out[s] = 0.0 if place == 0 else np.inf if place == BINS - 1 else size
+                break
+            below += count
+    return out

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from ...estimators.interface import Estimate, Status
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.setting import Quantity
 from ...scenarios.world import Step
-from .kernels import score_bound, score_errors, score_matrix, score_nees
+from .kernels import BINS, histogram_medians, score_bound, score_errors, score_matrix, score_nees
 
 EVERYTHING = np.zeros((0, 0), dtype=bool)
 CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
@@ -26,7 +27,8 @@ class Scored:
     the reasons (S,) of those that are not.
 
     curves: by the names of `CURVES`, sums over runs of each step, (K, quantities) for the first three, else (K,).
-    nees_states: degrees of freedom of the NEES (0: no covariance claimed)."""
+    nees_states: degrees of freedom of the NEES (0: no covariance claimed). ("nees-median", "state"): median over a
+    run's steps over that of chi-square, 1 is right; ("inside", "state"): share of its steps in the 95 % ellipsoid."""
 
     metrics: dict[tuple[str, str], Array]
     status: NDArray[np.int8]
@@ -56,7 +58,8 @@ class Scorer:
         self.last, self.left_out = np.zeros((n, runs)), np.zeros((n, runs))
         self.steps, self.live, self.form = np.zeros(runs), np.empty(runs), np.empty(runs)
         self.good, self.lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
-        self.nees, self.nees_steps = np.zeros(runs), np.zeros(runs)
+        self.nees, self.nees_steps, self.nees_inside = np.zeros(runs), np.zeros(runs), np.zeros(runs)
+        self.histogram, self.middle, self.outer = np.zeros((0, BINS), dtype=np.int32), np.nan, np.nan
         self.inside, self.ellipsoid_steps, self.half_width = np.zeros(runs), np.zeros(runs), np.zeros((n, runs))
         self.bound, self.bound_steps, self.performed = np.zeros(runs), np.zeros(runs), np.zeros(runs)
         self.curves = np.zeros((steps, len(CURVES), max(n, 1)))
@@ -88,10 +91,12 @@ class Scorer:
             live = self._without_gaps(known, last, curve)
         if estimate.covariance is not None and self.referenced:
             n = min(len(truth), estimate.covariance.shape[0])
+            if n != self.nees_states:
+                self.nees_states, self.histogram = n, np.zeros((len(live), BINS), dtype=np.int32)
+                self.middle, self.outer = (2 * float(gammaincinv(n / 2, share)) for share in (0.5, 0.95))
             score_nees(vector, truth, np.ascontiguousarray(estimate.covariance[:n, :n]), live, self.form, self.lost,
-                       self.nees, self.nees_steps, curve)
+                       self.nees, self.nees_steps, curve, self.middle, self.outer, self.nees_inside, self.histogram)
             self.claimed.add("nees")
-            self.nees_states = n
         if estimate.ellipsoid is not None:
             n = min(len(truth), estimate.ellipsoid.shape[0])
             score_matrix(vector, truth, np.ascontiguousarray(estimate.ellipsoid[:n, :n]), live, self.form, self.lost)
@@ -145,6 +150,8 @@ class Scorer:
         with np.errstate(invalid="ignore", divide="ignore"):
             if "nees" in self.claimed:
                 metrics["nees", "state"] = self.nees / self.nees_steps
+                metrics["nees-median", "state"] = histogram_medians(self.histogram)
+                metrics["inside", "state"] = self.nees_inside / self.nees_steps
             if "ellipsoid" in self.claimed:
                 metrics["coverage", "ellipsoid"] = self.inside / self.ellipsoid_steps
                 for q, item in enumerate(self.quantities):

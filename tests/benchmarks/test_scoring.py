@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from railstate.benchmarks.scoring.kernels import lane_sum, quadratic_forms
+from railstate.benchmarks.scoring.kernels import BINS, add_spread, histogram_medians, lane_sum, quadratic_forms
 from railstate.benchmarks.scoring.scorer import Scorer
 from railstate.estimators.interface import Estimate, Status
 from railstate.scenarios.setting import Quantity
 from railstate.scenarios.world import Step
+from scipy.stats import chi2
 
 STEPS, SKIP = 12, 3
 QUANTITIES = (Quantity("position", "m", ((0, 1.0), (1, 1.0))), Quantity("speed", "m/s", ((2, 3.6),)),
@@ -42,12 +43,13 @@ def test_metrics_equal_a_naive_loop() -> None:
     for s in range(33):
         use = [k for k in range(SKIP, STEPS) if active[k, s]]
         error = np.array([mean[k, :, s] - truth[k, :, s] for k in use])
-        nees = np.mean([e @ np.linalg.solve(covariance[k, :, :, s], e) for k, e in zip(use, error, strict=True)])
+        nees = [e @ np.linalg.solve(covariance[k, :, :, s], e) for k, e in zip(use, error, strict=True)]
         expected = {
             ("rmse", "position"): np.sqrt(np.mean(error[:, :2] ** 2)), ("mae", "position"): np.mean(abs(error[:, :2])),
             ("max", "position"): abs(error[:, :2]).max(), ("rmse", "speed"): np.sqrt(np.mean((3.6 * error[:, 2]) ** 2)),
             ("final", "speed"): abs(3.6 * error[-1, 2]),
-            ("final", "position"): np.sqrt(np.mean(error[-1, :2] ** 2)), ("nees", "state"): nees,
+            ("final", "position"): np.sqrt(np.mean(error[-1, :2] ** 2)), ("nees", "state"): np.mean(nees),
+            ("inside", "state"): np.mean(np.array(nees) <= chi2(3).ppf(0.95)),
             ("sum-squared", "weighted"): np.sum((0.5 * error[:, 0]) ** 2 + (2 * error[:, 2]) ** 2)}
         for key, value in expected.items():
             assert found.metrics[key][s] == pytest.approx(value, rel=1e-10), key
@@ -132,3 +134,21 @@ def test_infinite_nees_reaches_the_metrics() -> None:
 def test_lane_sum(length: int) -> None:
     values = np.random.default_rng(2).normal(size=length)
     assert lane_sum(values) == pytest.approx(values.sum(), abs=1e-12)
+
+
+def test_median_and_share_inside() -> None:
+    """Of chi-square forms: the share exactly, the median to less than a bin of its histogram, zeros, infinities."""
+    forms = np.random.default_rng(3).chisquare(2, (4001, 6))
+    inside, histogram = np.zeros(6), np.zeros((6, BINS), dtype=np.int32)
+    for form in forms:
+        add_spread(form, np.ones(6), chi2(2).ppf(0.5), chi2(2).ppf(0.95), inside, histogram)
+    np.testing.assert_array_equal(inside, (forms <= chi2(2).ppf(0.95)).sum(axis=0))
+    np.testing.assert_allclose(histogram_medians(histogram), np.median(forms, axis=0) / chi2(2).ppf(0.5), rtol=0.03)
+    inside, histogram = np.zeros(6), np.zeros((6, BINS), dtype=np.int32)
+    add_spread(np.array([0.0, 1e-300, 1e300, np.inf, np.nan, 1.0]), np.array([1.0] * 5 + [0.0]), 1.0, 2.0, inside,
+               histogram)
+    np.testing.assert_array_equal(histogram_medians(histogram), [0.0, 0.0, np.inf, np.inf, np.nan, np.nan])
+    np.testing.assert_array_equal(inside, [1, 1, 0, 0, 0, 0])
+    for _ in range(9):
+        add_spread(np.ones(6), np.ones(6), 1.0, 2.0, inside, histogram)
+    assert (abs(histogram_medians(histogram) - 1) < 1 / 16).all()  # one degenerate step rules nothing
