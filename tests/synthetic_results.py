@@ -46,7 +46,8 @@ def write_results(folder: Path, *, keep: bool = True, seed: int = 5) -> Path:
             tables.append(_estimator(rng, scenario, variant, kind, label, facts, units, base, keep))
             timing.append({"scenario": scenario, "variant": variant, "estimator": label, "design_s": 0.001 * len(label),
                            "latency_us_median": 10.0 + 7 * len(label), "latency_us_p99": 30.0 + 9 * len(label),
-                           "throughput_ns": 400.0 + len(label), "sampling_period_s": PERIOD})
+                           "samples": 1000, "throughput_ns": 400.0 + len(label),
+                           "sampling_period_s": PERIOD})
         if keep:
             tables.append({"kept": _extras(rng, scenario, variant, kind)})
         joined = {name: pa.concat_tables([t[name] for t in tables if name in t], promote_options="default")

@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cached_property
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ from .result import Result, failed, identity, joined
 Columns = dict[str, Any]
 TRACE = 20_000
 """Characters of a traceback that are kept."""
+WARM_STEPS, WARM_SECONDS = 10, 0.1
+_warm: set[tuple[str, str, int]] = set()
 
 
 def execute(task: Task) -> Result:
@@ -136,8 +139,32 @@ class _Block:
                                    entry.knowledge, world.initial_mean, entry.late, entry.told_faults, entry.augment)
         estimator.design(model)
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
-        _warm_up(self.setting, self.task, self.label, (runs[0], runs[-1]))
+        self._warm_up(runs, world)
         return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None)
+
+    def _warm_up(self, runs: tuple[int, ...], world: World) -> None:
+        """Compile (or load) what this estimator needs on this plant and on so many runs before anything is timed: the
+        block's own first steps, until two passes take as long, so that nobody's time tells who came before. A run that
+        makes it raise, die or hang costs no other so."""
+        task, entry = self.task, self.task.cell.entries[self.label]
+        key = (self.setting.kind, repr((entry.plugin, entry.parameters, entry.knowledge, entry.late, entry.augment)),
+               len(runs))
+        if key in _warm:
+            return
+        _warm.add(key)
+        begun, before = perf_counter(), np.inf
+        with suppress(*_caught(task, self.label)):  # what goes wrong here goes wrong again where it counts
+            while perf_counter() - begun < WARM_SECONDS:
+                short = FirstSteps(self.worlds.for_runs(runs) if world.closed_loop else world, WARM_STEPS)
+                estimator, model = prepare(self.setting, estimator_class(entry.plugin, self.label), entry.parameters,
+                                           entry.knowledge, world.initial_mean, entry.late, entry.told_faults,
+                                           entry.augment)
+                estimator.design(model)
+                random = Streams(task.seed, task.cell.scenario, task.cell.variant, runs)("estimator", self.label)
+                seconds = drive(self.setting, short, estimator, model, random).seconds
+                if abs(seconds - before) <= 0.1 * seconds:
+                    break
+                before = seconds
 
     def _curves(self, runs: tuple[int, ...], driven: Driven) -> list[pa.Table]:
         """Sums over the runs that finished, as rows are judged: where some were lost, the others are driven again."""
@@ -168,26 +195,6 @@ class _Block:
 def _caught(task: Task, label: str) -> tuple[type[BaseException], ...]:
     """What becomes a row: in a process of a plug-in's own, where nobody presses Ctrl-C, all that it raises."""
     return (Exception, SystemExit) if own(task.cell, label) else (BaseException,)
-
-
-_warm: set[tuple[str, str]] = set()
-
-
-def _warm_up(setting: Setting[Any], task: Task, label: str, runs: tuple[int, int]) -> None:
-    """Compile (or load) what this estimator needs on this plant before anything is timed: three steps of two runs,
-    which are the block's own so that a run that makes it raise, die or hang costs no other."""
-    entry = task.cell.entries[label]
-    key = (setting.kind, repr((entry.plugin, entry.parameters, entry.knowledge, entry.late, entry.augment)))
-    if key in _warm:
-        return
-    _warm.add(key)
-    streams = Streams(task.seed, task.cell.scenario, task.cell.variant, runs)
-    with suppress(*_caught(task, label)):  # what goes wrong here goes wrong again where it counts
-        world = FirstSteps(setting.world(streams), 3)
-        estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
-                                   world.initial_mean, entry.late, entry.told_faults, entry.augment)
-        estimator.design(model)
-        drive(setting, world, estimator, model, streams("estimator", label))
 
 
 class FirstSteps:

@@ -20,7 +20,9 @@ from ..scoring.columns import TIMING
 from .drive import prepare
 from .loop import Loop, Observer
 
-WARM_UP, STEPS, SECONDS = 5, 400, 0.15
+WARM_UP, STEPS, SAMPLES, SECONDS = 5, 334, 1000, 0.15
+AGREED = 1.1
+"""Two passes agree where their medians are this near."""
 
 
 def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float, memory: int = 0) -> pd.DataFrame:
@@ -40,6 +42,7 @@ def _lines(plan: Plan, rows: pd.DataFrame, timeout: float, memory: int) -> Itera
                 yield {"scenario": cell.scenario, "variant": cell.variant, "estimator": label, "design_s": design,
                        "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
                        "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
+                       "samples": len(latencies),
                        "throughput_ns": throughput.get((cell.scenario, cell.variant, label), np.nan),
                        "sampling_period_s": cell.setting().sampling_period}
 
@@ -68,9 +71,9 @@ def _throughput(rows: pd.DataFrame) -> dict[Any, float]:
 
 
 def measure(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
-    """Design seconds and the seconds of each of up to `STEPS` steps of one run (prediction, update, estimate).
-
-    The first steps, in which code is compiled or loaded, are left out; slow estimators are cut off by time."""
+    """Design seconds and the seconds of each of some `SAMPLES` steps of one run (prediction, update, estimate), in
+    passes over its first `STEPS`. A pass is warm-up, and left out, until the next agrees with it, and so are each one's
+    first steps; slow estimators are cut off by time."""
     setting, entry = cell.setting(), cell.entries[label]
     streams = Streams(seed, cell.scenario, cell.variant, (0,))
     try:
@@ -80,15 +83,30 @@ def measure(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
         begun = perf_counter()
         info = estimator.design(model)
         design = float(info.get("design_s", perf_counter() - begun))
-        estimator.start(model, 1, streams("estimator", label))
-        loop = Loop(world, estimator, Observer(), own=model.own)
-        seconds: list[float] = []
-        for k in range(min(world.steps, STEPS + WARM_UP)):
-            before = loop.seconds
-            if sum(seconds) > SECONDS or loop.step(k) is None:
+        passes: list[list[float]] = []
+        spent = 0.0
+        while spent <= SECONDS and sum(map(len, passes)) < SAMPLES:
+            estimator.start(model, 1, streams("estimator", label))
+            if world.closed_loop and passes:
+                world = setting.world(streams)
+            passes.append(_pass(Loop(world, estimator, Observer(), own=model.own), SECONDS - spent))
+            spent += sum(passes[-1])
+            if not passes[-1]:
                 break
-            if k >= WARM_UP:
-                seconds.append(loop.seconds - before)
+            if len(passes) == 2 and np.median(passes[0]) > AGREED * np.median(passes[1]):
+                del passes[0]  # that was the warm-up
     except (Exception, SystemExit):  # the rows already tell what it raised
         return np.nan, []
-    return design, seconds
+    return design, [value for each in passes for value in each]
+
+
+def _pass(loop: Loop, limit: float) -> list[float]:
+    """Seconds of each of the first steps but for `WARM_UP`, as far as the limit (s) lasts."""
+    seconds: list[float] = []
+    for k in range(min(loop.world.steps, WARM_UP + STEPS)):
+        before = loop.seconds
+        if sum(seconds) > limit or loop.step(k) is None:
+            break
+        if k >= WARM_UP:
+            seconds.append(loop.seconds - before)
+    return seconds

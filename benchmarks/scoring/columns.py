@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 
 IDENTITY = ("scenario", "variant", "estimator", "run")
-TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "throughput_ns",
-          "sampling_period_s")
+TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "samples",
+          "throughput_ns", "sampling_period_s")
 """Columns of timing.csv."""
 
 

@@ -235,6 +235,8 @@ class Store:
         try:
             table = pd.read_csv(path, dtype=dict.fromkeys(TIMING[:3], str), keep_default_na=False,
                                 na_values={name: ["", "nan", "NaN"] for name in TIMING[3:]})
+            if "samples" not in table:
+                table["samples"] = float("nan")  # of a folder from before they were counted
             if table.duplicated(list(TIMING[:3])).any():
                 raise ValueError("a line stands in it twice")
             return table.astype(dict.fromkeys(TIMING[3:], float))

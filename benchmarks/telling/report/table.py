@@ -182,7 +182,9 @@ def _latency(cell: CellResults, label: str) -> Entry:
     factor = 1e6 * cell.period / value
     fits = (f"fits {cell.period:g} s with a factor {rough(factor)}" if factor >= 1
             else f"misses {cell.period:g} s by a factor {rough(1 / factor)}")
-    return Entry(number(value), fits, value, "" if factor >= 1 else "bad")
+    samples = values.get("samples", np.nan)
+    few = f"; from {samples:.0f} steps" if samples < 1000 else ""
+    return Entry(number(value), fits + few, value, "" if factor >= 1 else "bad")
 
 
 def _time(cell: CellResults, label: str, name: str, least: float) -> Entry:
