@@ -8,6 +8,8 @@ import numpy as np
 
 from .core import kernel
 
+LOG_2PI = float(np.log(2 * np.pi))
+
 
 @kernel
 def mix(transition, weight, moving, mean, covariance):
@@ -65,13 +67,41 @@ def mix(transition, weight, moving, mean, covariance):
 
 
 @kernel
-def weigh(weight, loglik, lost):
+def log_density(residual, variance, received):
+    """Sum over the received elements of log N(residual; 0, variance), all (ny, m S), received (ny, S). Returns (m S,).
+
+    Scalar logarithms: those of whole arrays may differ in the last digit with the place in the array."""
+    runs = received.shape[1]
+    out = np.zeros(residual.shape[1])
+    for i in range(residual.shape[0]):
+        for c in range(residual.shape[1]):
+            if received[i, c % runs]:
+                e, v = residual[i, c], variance[i, c]
+                out[c] -= 0.5 * (e * e / v + np.log(v) + LOG_2PI)
+    return out
+
+
+@kernel
+def powers(values, exponents):
+    """values (m,) to the powers exponents (S,), (m, S), each by itself."""
+    out = np.empty((len(values), len(exponents)))
+    for i in range(len(values)):
+        for s in range(len(exponents)):
+            out[i, s] = values[i] ** exponents[s]
+    return out
+
+
+@kernel
+def weigh(weight, loglik, heard, lost):
     """weight (m, S) times exp(loglik (m S,)), normalised, in place. Returns the log-likelihood of the mixture (S,).
 
-    lost (S,) is set where no mode is possible any more; a mode whose log-likelihood is NaN is not."""
+    Runs that heard (S,) nothing stay to the bit. lost (S,) is set where no mode is possible any more; a mode whose
+    log-likelihood is NaN is not."""
     m, runs = weight.shape
     out = np.zeros(runs)
     for s in range(runs):
+        if not heard[s]:
+            continue
         top = -np.inf
         for j in range(m):
             value = loglik[j * runs + s]

@@ -18,10 +18,8 @@ from ...scenarios.randomness import RunRandom
 from .. import mode_grid
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import ExtendedKalman
-from ..kernels.mixing import mix, moments, weigh
+from ..kernels.mixing import log_density, mix, moments, weigh
 from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
-
-LOG_2PI = float(np.log(2 * np.pi))
 
 
 class HypothesesParameters(Parameters):
@@ -85,13 +83,8 @@ class InteractingModels(Estimator):
         self.noise = noise_of(self.modes, measurement, self.runs)
         innovation = self.bank.update(measurement_of(measurement, self.m))
         assert innovation is not None and innovation.residual is not None and innovation.variance is not None
-        received = np.tile(measurement.received, self.m)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            each = -0.5 * (innovation.residual**2 / innovation.variance + np.log(innovation.variance) + LOG_2PI)
-        total = np.zeros(self.m * self.runs)
-        for j in range(len(each)):
-            total += np.where(received[j], each[j], 0.0)
-        loglik = weigh(self.weight, total, self.lost)
+        total = log_density(innovation.residual, innovation.variance, np.ascontiguousarray(measurement.received))
+        loglik = weigh(self.weight, total, heard, self.lost)
         flag(self, self.lost, Status.failed, "all modes became impossible")
         return Innovation(log_likelihood=loglik)
 

@@ -13,6 +13,7 @@ import numpy as np
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Interval, Measurement, PerRun
 from ...scenarios.model import DesignModel, Mode
+from ..kernels.mixing import powers
 
 
 def repeated(value: Any, m: int) -> Any:
@@ -104,8 +105,8 @@ def power_of(transition: Array) -> Callable[[PerRun], Array]:
         if (share == 1.0).all():
             return whole
         out = np.zeros((m, m, len(share)))
-        for part, value in zip(parts, values, strict=True):
-            out += part[:, :, None] * value**share
+        for part, raised in zip(parts, powers(np.ascontiguousarray(values), share), strict=True):
+            out += part[:, :, None] * raised
         out = np.maximum(out, 0.0)
         out = np.where(share == 1.0, whole, np.where(share == 0.0, np.eye(m)[:, :, None], out))
         return out

@@ -210,7 +210,7 @@ def change(table, *path):
     ("track", ("stops", "values", [-50.0, 900.0]), "lies outside the line"),
     ("track", ("stops", "values", [0.0, "x"]), "\"stops\" must be numbers"),
     ("track", ("stops", "unit", "mile"), "unit 'mile' of \"stops\" is unknown; allowed: m, km"),
-    ("track", ("speed limits", "units", "velocity", "mph"), "unit 'mph' of \"speed limits\""),
+    ("track", ("speed limits", "units", "velocity", "furlong/h"), "unit 'furlong/h' of \"speed limits\""),
     ("track", ("speed limits", "values", [[0.0, 40], [0.0, 50]]), "positions must increase"),
     ("track", ("speed limits", "values", [[0.0, -40]]), "speed limits must be positive"),
     ("track", ("speed limits", "values", [[0.0, 3]]), "plant.controller.margin"),
