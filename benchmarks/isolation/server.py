@@ -242,8 +242,10 @@ def _hear(heard: list[str]) -> None:
 
 
 def worded(message: str, category: type[Warning], file: str, line: int) -> str:
-    """A warning with whose it is: the place it comes from, where it is none that the suite words itself."""
-    ours = category is UserWarning and Path(file).resolve().is_relative_to(SUITE)
+    """A warning with whose it is: the place it comes from, where it is none that the suite words itself (with a stack
+    level that may point to a caller among the libraries)."""
+    place = Path(file).resolve()
+    ours = category is UserWarning and (place.is_relative_to(SUITE) or "site-packages" in place.parts)
     return message if ours else f"{message} ({file}:{line})"
 
 

@@ -164,8 +164,8 @@ def test_requirements_that_do_not_fit_are_told() -> None:
 
 @pytest.mark.parametrize(("table", "expected"), [
     ('name = "x"\nform = "speed"\npoints = [[2, 1], [1, 1]]', "increasing speeds"),
-    ('name = "x"\nform = "hope"', "requirements.0"),
-    ('name = "x"\nform = "stop"\nwithin = -1', "requirements.0.within"),
+    ('name = "x"\nform = "hope"', "requirements.x"),
+    ('name = "x"\nform = "stop"\nwithin = -1', "requirements.x.within"),
     ('name = "x"\nform = "stop"\nwithin = 1\nquantity = "height"', "no scored quantity"),
     ('name = "x"\nform = "allowance"\nconstant = 1\nshare = 0', "needs references"),
 ])
@@ -178,7 +178,8 @@ def test_bad_requirements_are_one_message(railstate: Command, table: str, expect
 def test_rows_of_any_scenario_carry_its_requirements(railstate: Command) -> None:
     table = '[[requirements]]\nname = "near"\nform = "percentile"\nquantity = "position"\npercent = 95\nlimit = 3.0\n'
     Path("cart.toml").write_text(SCENARIO.replace("[channel]", f"{table}[channel]"))
-    done = railstate("run", "cart.toml", "--plugin", "half.py", "--runs", 4, "--out", "out")
+    done = railstate("run", "cart.toml", "--plugin", "half.py", "--estimators", "half", "--runs", 4, "--out",
+                     "out")
     assert done.code == 0, done.err
     from railstate.benchmarks.store.folder import Store
     rows = Store(Path("out")).rows()

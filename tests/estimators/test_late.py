@@ -57,7 +57,7 @@ CASES = [*(("ningbo-metro", "gaussian", name) for name in (
     "ekf", "ukf", "ckf", "particle", "robust-mean-square", "robust-ellipsoid", "dead-reckoning", "filterpy-ekf", "gate",
     "soft-gate", "huber", "mcc", "student-t", "student-t-roth", "adaptive-r", "ekf-second-order")),
     *(("braking-rate", "paper", name) for name in ("imm", "rbpf", "sma", "gsma")),
-    *(("rap-example-1", "corrected", name) for name in ("kalman", "direct"))]
+    ("rap-example-1", "corrected", "kalman"), ("cbtc-csma", "uniform", "direct")]
 
 
 @pytest.mark.parametrize(("scenario", "variant", "plugin"), CASES)

@@ -123,8 +123,7 @@ def test_imm_s_likelihood_is_brute_force(setting: Braking) -> None:
     """One step from a known prior: the mixture of the modes' Gaussians, each worked out in full."""
     world = lossy(setting.world(streams(range(2))))
     model = setting.design_model({}, world.initial_mean)
-    modes, m = model.modes, 11
-    assert modes is not None
+    modes, m = grid_of(model, "this test"), 11
     imm = InteractingMultipleModel({"stay": 0.8})
     imm.start(model, 2, streams(range(2))("estimator", "x"))
     imm.predict(world.u[0], whole(0))

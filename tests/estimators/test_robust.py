@@ -67,7 +67,7 @@ def follow(estimator: Estimator, ys: np.ndarray, received: np.ndarray) -> list[A
     out = []
     u = np.zeros((0, ys.shape[2]))
     for y, got in zip(ys, received, strict=True):
-        estimator.predict(u, whole(0))
+        estimator.predict(u, whole(0, T))
         estimator.update(heard(np.where(got, y, np.nan), got))
         out.append(replace(estimator.estimate(), mean=estimator.estimate().mean.copy()))
     return out
@@ -75,7 +75,7 @@ def follow(estimator: Estimator, ys: np.ndarray, received: np.ndarray) -> list[A
 
 def test_f1_without_linearisation_error_is_the_closed_form() -> None:
     estimator = started(RobustBounded, model(1, kappa=0.0))
-    estimator.predict(np.zeros((0, 1)), whole(0))
+    estimator.predict(np.zeros((0, 1)), whole(0, T))
     y = np.array([[0.7], [-0.4]])
     estimator.update(heard(y, np.ones((2, 1), bool)))
     B = G * [0.3, 0.2]
@@ -93,7 +93,7 @@ def test_f3_scalar_is_the_known_optimum() -> None:
                         initial_covariance=np.full((1, 1, 1), 4.0), performance=np.eye(1),
                         bounds=Bounds(np.ones((1, 2)), np.array([0.5, 0.25]), np.ones(1)))
     estimator = started(RobustMeanSquare, told)
-    estimator.predict(np.zeros((0, 1)), whole(0))
+    estimator.predict(np.zeros((0, 1)), whole(0, T))
     estimator.update(heard(np.ones((1, 1)), np.ones((1, 1), bool)))
     spread = (2.0 + 0.5 + 0.25) ** 2
     estimate = estimator.estimate()
@@ -116,7 +116,7 @@ def test_f2_contains_every_admissible_truth_before_and_after_measurements(sensor
     if C is not None:
         received = received & np.array([[True], [False]])
     for x, y, got in zip(xs, ys, received, strict=True):
-        estimator.predict(np.zeros((0, 60)), whole(0))
+        estimator.predict(np.zeros((0, 60)), whole(0, T))
         for measured in (False, True):
             if measured:
                 estimator.update(heard(y, got))
@@ -137,7 +137,7 @@ def test_f3_bound_holds_in_the_mean_square() -> None:
     for k in range(steps):
         x = A @ x + G @ (np.array([[0.3], [0.2]]) * side)
         y = x + random.uniform(-1, 1, (2, runs)) * np.array([[1.0], [0.4]])
-        estimator.predict(np.zeros((0, runs)), whole(k))
+        estimator.predict(np.zeros((0, runs)), whole(k, T))
         estimator.update(heard(y, np.ones((2, runs), bool) if k % 3 else random.random((2, runs)) < 0.5, k))
         squared = ((x - estimator.estimate().mean) ** 2).sum(axis=0)
         bound = np.asarray(estimator.estimate().bound)
@@ -165,13 +165,13 @@ def test_results_do_not_depend_on_the_batch(cls: type[Estimator]) -> None:
 def test_runs_whose_portion_is_zero_stay_as_they_are(cls: type[Estimator]) -> None:
     told = replace(model(2), bounds=Bounds(G, np.array([0.3, 0.2]), np.array([1.0, 0.4])))
     # linear_model knows whole steps only; here a run either makes one or none.
-    estimator = started(cls, replace(told, transition=lambda x, u, interval: told.transition(x, u, whole(0))))
+    estimator = started(cls, replace(told, transition=lambda x, u, interval: told.transition(x, u, whole(0, T))))
     everything = np.ones((2, 2), bool)
-    estimator.predict(np.zeros((0, 2)), whole(0))
+    estimator.predict(np.zeros((0, 2)), whole(0, T))
     estimator.update(heard(np.ones((2, 2)), everything))
     before = estimator.estimate()
     kept = [np.array(part[..., 0]) for part in (before.mean, before.ellipsoid, before.bound) if part is not None]
-    estimator.predict(np.zeros((0, 2)), part(0, np.array([0.0, 1.0])))
+    estimator.predict(np.zeros((0, 2)), part(0, np.array([0.0, 1.0]), T))
     estimator.update(heard(np.full((2, 2), 2.0), everything & [[False, True]]))
     after = estimator.estimate()
     now = [part[..., 0] for part in (after.mean, after.ellipsoid, after.bound) if part is not None]
@@ -183,7 +183,7 @@ def test_runs_whose_portion_is_zero_stay_as_they_are(cls: type[Estimator]) -> No
 def test_a_run_without_measurements_is_the_prediction_alone(cls: type[Estimator]) -> None:
     estimator = started(cls, replace(model(1), initial_mean=np.array([[1.0], [2.0]])))
     for _ in range(3):
-        estimator.predict(np.zeros((0, 1)), whole(0))
+        estimator.predict(np.zeros((0, 1)), whole(0, T))
         estimator.update(heard(np.full((2, 1), np.nan), np.zeros((2, 1), bool)))
     np.testing.assert_allclose(estimator.estimate().mean[:, 0], np.linalg.matrix_power(A, 3) @ [1.0, 2.0], rtol=1e-14)
     assert estimator.status[0] == Status.ok
@@ -246,11 +246,11 @@ def test_portions_need_bounds_for_them() -> None:
     told = model(1, kappa=0.0)
     told = replace(told, transition=lambda x, u, interval: x)
     estimator = started(RobustMeanSquare, told)
-    estimator.predict(np.zeros((0, 1)), part(0, 0.5))
+    estimator.predict(np.zeros((0, 1)), part(0, 0.5, T))
     assert estimator.status[0] == Status.infeasible and "whole sampling periods" in estimator.reasons[0]
     bounds = Bounds(G, np.array([0.3, 0.2]), np.array([1.0, 0.4]), part=lambda interval: G[:, :, None] * interval.share)
     estimator = started(RobustMeanSquare, replace(told, bounds=bounds))
-    estimator.predict(np.zeros((0, 1)), part(0, 0.5))
+    estimator.predict(np.zeros((0, 1)), part(0, 0.5, T))
     assert estimator.status[0] == Status.ok
 
 
