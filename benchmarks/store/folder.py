@@ -126,7 +126,7 @@ class Store:
         before = self.timing()
         if before is not None:
             lines = pd.concat([before, lines]).drop_duplicates(list(TIMING[:3]), keep="last")
-        self.write_text("timing.csv", lines.to_csv(index=False))
+        self.write_text("timing.csv", lines.astype({"samples": "Int64"}).to_csv(index=False))
 
     def drop(self, gone: Gone) -> None:
         """Take rows out, with what belongs to them; a part without rows goes whole."""
