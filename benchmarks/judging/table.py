@@ -43,8 +43,10 @@ def verdicts(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> pd.DataFrame:
 
 def verdicts_of(store: Store) -> pd.DataFrame:
     """The verdict table of a folder: as it was written with its rows, or made now where it is not up to date."""
-    table = store.verdicts()
-    return verdicts(store.rows(), store.manifest()) if table is None or tuple(table) != VERDICT_COLUMNS else table
+    table, numbers = store.verdicts(), [name for name in VERDICT_COLUMNS if name not in TEXTS]
+    sound = (table is not None and tuple(table) == VERDICT_COLUMNS
+             and bool((table[numbers].dtypes == framed([])[numbers].dtypes).all()))
+    return table if sound and table is not None else verdicts(store.rows(), store.manifest())
 
 
 def framed(lines: Sequence[Line]) -> pd.DataFrame:
