@@ -33,7 +33,8 @@ class Fresh:
 
     def run(self, *words: str | Path) -> subprocess.CompletedProcess[str]:
         """Run a command; its output is kept as text. Packages are built offline, with what is installed."""
-        environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+        environment = {key: value for key, value in os.environ.items()
+                       if key not in ("PYTHONPATH", "PYTHONHOME", "PYTEST_ADDOPTS")}
         environment |= {"PATH": f"{self.folder / 'bin'}:{environment['PATH']}", "PIP_NO_INDEX": "1", "PIP_NO_DEPS": "1",
                         "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
         return subprocess.run(list(map(str, words)), cwd=self.home, env=environment, capture_output=True, text=True,
