@@ -6,7 +6,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from .core import factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+from .core import (
+    INDEFINITE,
+    SMALLEST_PIVOT_RATIO,
+    factorise,
+    forward,
+    gather2,
+    gather3,
+    kernel,
+    scatter2,
+    scatter3,
+    tile_width,
+)
 
 
 @kernel
@@ -33,64 +44,125 @@ def innovate(y, predicted, received, out, width):
 
 
 @kernel
-def _sequential(p, h, variance, received, gain, spread, failed, width):
-    """Covariance p (n, n, width) after measurements h (ny, n, width or 1) of uncorrelated noise, one after the other.
+def decompose(p, failed, width):
+    """p (n, n, width) := L below the diagonal and D on it, p = L D L' with L unit lower triangular, in place.
 
-    variance (ny, width or 1) of the noise; spread (ny, width): h P h' + r of each in turn. gain (n, ny, width): each
-    scalar step's gain K = P h'/(h P h' + r), zero where not received. Joseph form
-    (I - K h) P (I - K h)' + K r K' = P - K (P h')' + e K' with e = r K - (P - K (P h')') h'; in exact arithmetic
-    e = 0, in floating point it takes out the error of K to first order. failed is set where h P h' + r <= 0."""
+    A pivot of zero (to rounding: SMALLEST_PIVOT_RATIO, INDEFINITE) is a direction without uncertainty, and its column
+    of L zero. failed (width,) is set, and entries NaN, where p is indefinite. Only the lower triangle is read."""
     n = p.shape[0]
-    product, total, error = np.empty((n, width)), np.empty(width), np.empty((n, width))
-    shared, own = h.shape[2] == 1, variance.shape[1] > 1
-    for j in range(h.shape[0]):
-        r = variance[j, 0]
-        for i in range(n):
-            for s in range(width):
-                product[i, s] = 0.0
-            for k in range(n):
-                a, b = max(i, k), min(i, k)
-                if not shared:
-                    for s in range(width):
-                        product[i, s] += h[j, k, s] * p[a, b, s]
-                elif h[j, k, 0] != 0.0:
-                    weight = h[j, k, 0]
-                    for s in range(width):
-                        product[i, s] += weight * p[a, b, s]
+    scale, inverse, row = np.empty((n, width)), np.empty(width), np.empty(width)
+    for j in range(n):
         for s in range(width):
-            total[s] = variance[j, s] if own else r
-        for k in range(n):
-            for s in range(width):
-                total[s] += (h[j, k, 0] if shared else h[j, k, s]) * product[k, s]
+            scale[j, s] = abs(p[j, j, s])
+    for j in range(n):
         for s in range(width):
-            spread[j, s] = total[s]
-        for s in range(width):
-            got = received[j, s]
-            good = total[s] > 0.0
-            failed[s] |= got and not good
-            total[s] = (1.0 / total[s] if good else np.nan) if got else 0.0
-        for i in range(n):
-            for s in range(width):
-                value = product[i, s] * total[s]
-                gain[i, j, s] = value
-                error[i, s] = (variance[j, s] if own else r) * value
-            for k in range(n):
-                a, b = max(i, k), min(i, k)
-                if not shared:
-                    for s in range(width):
-                        error[i, s] -= (p[a, b, s] - gain[i, j, s] * product[k, s]) * h[j, k, s]
-                elif h[j, k, 0] != 0.0:
-                    weight = h[j, k, 0]
-                    for s in range(width):
-                        error[i, s] -= (p[a, b, s] - gain[i, j, s] * product[k, s]) * weight
-        for a in range(n):
-            for b in range(a + 1):
+            pivot = p[j, j, s]
+            good = pivot >= -INDEFINITE * scale[j, s]
+            positive = pivot > SMALLEST_PIVOT_RATIO * scale[j, s]
+            inverse[s] = 1.0 / pivot if positive else 0.0
+            p[j, j, s] = (pivot if positive else 0.0) if good else np.nan
+            failed[s] |= not good
+        for i in range(n - 1, j, -1):
+            for s in range(width):  # nothing may be correlated with a direction without uncertainty
+                entry = p[i, j, s]
+                bad = inverse[s] == 0.0 and entry * entry > INDEFINITE * (scale[i, s] * scale[j, s])
+                failed[s] |= bad
+                row[s] = np.nan if bad else entry * inverse[s]
+            for k in range(j + 1, i + 1):
                 for s in range(width):
-                    p[a, b, s] = (p[a, b, s] - gain[a, j, s] * product[b, s]) + error[a, s] * gain[b, j, s]
+                    p[i, k, s] -= row[s] * p[k, j, s]
+            for s in range(width):
+                p[i, j, s] = row[s]
+
+
+@kernel
+def compose(p, width):
+    """p (n, n, width) := L D L', both triangles, in place of L and D as `decompose` leaves them."""
+    n = p.shape[0]
+    scaled = np.empty((n, width))
+    for a in range(n - 1, -1, -1):
+        for k in range(a):
+            for s in range(width):
+                scaled[k, s] = p[a, k, s] * p[k, k, s]
+        for k in range(a):
+            for s in range(width):
+                p[a, a, s] += scaled[k, s] * p[a, k, s]
+        for b in range(a):
+            for s in range(width):
+                p[a, b, s] = scaled[b, s]
+            for k in range(b):
+                for s in range(width):
+                    p[a, b, s] += scaled[k, s] * p[b, k, s]
     for a in range(n):
         for b in range(a):
             for s in range(width):
                 p[b, a, s] = p[a, b, s]
+
+
+@kernel
+def _sequential(p, h, variance, received, gain, spread, failed, width):
+    """Measurements h (ny, n, width or 1) of uncorrelated noise, one after the other, on p (n, n, width) as `decompose`
+    leaves it: L and D after them (Bierman's update, with L lower in place of U upper).
+
+    variance (ny, width or 1) of the noise; spread (ny, width): h P h' + r of each in turn, summed from terms that are
+    not negative, as D is multiplied by ratios that are not: no cancellation can make a variance negative. gain (n, ny,
+    width): each scalar step's gain K = P h'/(h P h' + r), zero where not received, where nothing changes. failed is
+    set where h P h' + r <= 0."""
+    n = p.shape[0]
+    shared, own = h.shape[2] == 1, variance.shape[1] > 1
+    seen, gained, step = np.empty((n, width)), np.empty((n, width)), np.empty(width)
+    total, inverse, moved = np.empty(width), np.empty(width), np.empty(width)
+    for j in range(h.shape[0]):
+        got = received[j]
+        last = n - 1
+        while shared and last >= 0 and h[j, last, 0] == 0.0:
+            last -= 1
+        for i in range(last + 1):  # L' h
+            if shared:
+                weight = h[j, i, 0]
+                for s in range(width):
+                    seen[i, s] = weight
+            else:
+                for s in range(width):
+                    seen[i, s] = h[j, i, s]
+            for k in range(i + 1, last + 1):
+                if not shared:
+                    for s in range(width):
+                        seen[i, s] += h[j, k, s] * p[k, i, s]
+                elif h[j, k, 0] != 0.0:
+                    weight = h[j, k, 0]
+                    for s in range(width):
+                        seen[i, s] += weight * p[k, i, s]
+        noise = variance[j, 0]
+        for s in range(width):
+            total[s] = (variance[j, s] if own else noise) if got[s] else 1.0
+            inverse[s] = 1.0 / total[s] if total[s] > 0.0 else 0.0
+        for i in range(n):
+            for s in range(width):
+                gained[i, s] = 0.0
+        for i in range(last, -1, -1):
+            for s in range(width):
+                f = seen[i, s] if got[s] else 0.0
+                moved[s] = p[i, i, s] * f
+                step[s] = -f * inverse[s]
+                before = total[s]
+                total[s] = before + f * moved[s]
+                inverse[s] = 1.0 / total[s] if total[s] > 0.0 else 0.0
+                p[i, i, s] *= before * inverse[s] if total[s] > 0.0 else 1.0
+            for k in range(i + 1, n):
+                for s in range(width):
+                    before = p[k, i, s]
+                    p[k, i, s] = before + gained[k, s] * step[s]
+                    gained[k, s] += before * moved[s]
+            for s in range(width):
+                gained[i, s] = moved[s]
+        for s in range(width):
+            spread[j, s] = total[s]
+            failed[s] |= not total[s] > 0.0
+            inverse[s] = inverse[s] if got[s] else 0.0
+        for i in range(n):
+            for s in range(width):
+                gain[i, j, s] = gained[i, s] * inverse[s]
 
 
 @kernel
@@ -122,6 +194,15 @@ def _shift(mean, innovation, h, gain, width):
     for i in range(n):
         for s in range(width):
             mean[i, s] += change[i, s]
+
+
+@kernel
+def _spoil(mean, covariance, s):
+    """NaN for run s: nothing that comes of a lost run can pass for a number."""
+    for a in range(mean.shape[0]):
+        mean[a, s] = np.nan
+        for b in range(mean.shape[0]):
+            covariance[a, b, s] = np.nan
 
 
 @kernel
@@ -218,6 +299,7 @@ def _update_kind(mean, covariance, y, predicted, received, h, r, residual, varia
         gather3(h, part, width, jacobian)
         innovate(measured, guess, got, innovation, width)
         lost = np.zeros(width, np.bool_)
+        decompose(p, lost, width)
         if diagonal:
             if own:
                 for j in range(ny):
@@ -234,13 +316,16 @@ def _update_kind(mean, covariance, y, predicted, received, h, r, residual, varia
                 for s in range(width):
                     innovation[j, s] /= inverse[j, s]
                     spread[j, s] /= inverse[j, s] * inverse[j, s]
+        compose(p, width)
+        for s in range(width):
+            failed[part[s]] |= lost[s]
+            bad += lost[s]
+            if lost[s]:
+                _spoil(x, p, s)
         scatter2(innovation, part, width, residual)
         scatter2(spread, part, width, variance)
         scatter2(x, part, width, mean)
         scatter3(p, part, width, covariance)
-        for s in range(width):
-            failed[part[s]] |= lost[s]
-            bad += lost[s]
     return bad
 
 
@@ -253,11 +338,17 @@ def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residua
     noise, gain, lost = np.empty((ny, 1)), np.empty((n, ny, 1)), np.zeros(1, np.bool_)
     for j in range(ny):
         noise[j, 0] = r[j, j, 0]
+    decompose(covariance, lost, 1)
     _sequential(covariance, h, noise, received, gain, variance, lost, 1)
+    compose(covariance, 1)
     innovate(y, predicted, received, residual, runs)
     _shift(mean, residual, h, gain, runs)
-    for s in range(runs):
-        failed[s] |= lost[0]
+    if lost[0]:
+        for s in range(runs):
+            failed[s] = True
+            for i in range(n):
+                mean[i, s] = np.nan
+        _spoil(mean, covariance, 0)
     return runs if lost[0] else 0
 
 
