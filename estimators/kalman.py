@@ -20,9 +20,10 @@ SINGULAR_INNOVATION = "an innovation covariance was not positive definite"
 
 
 class ExtendedKalman(Estimator):
-    """x- = f(x, u), P- = F P F' + Q; K = P- H'(H P- H' + R)^-1, x = x- + K (y - h(x-)), P in Joseph form.
+    """x- = f(x, u), P- = F P F' + Q; K = P- H'(H P- H' + R)^-1, x = x- + K (y - h(x-)), P by its factors.
 
-    F and H are the Jacobians at the latest estimate. Elements of y that are missing get no gain; correlated noise is
+    F and H are the Jacobians at the latest estimate. The update works on P = L D L' (Bierman, Factorization Methods
+    for Discrete Sequential Estimation, 1977), so that no rounding makes a variance negative. Elements of y that are missing get no gain; correlated noise is
     decorrelated over the elements received. The covariance is kept as (nx, nx, 1) as long as the Jacobians, Q and
     the reception are the same for all runs."""
 

@@ -19,6 +19,9 @@ from .core import (
     tile_width,
 )
 
+SMALLEST = float(np.finfo(float).tiny)
+"""The smallest number that has a reciprocal."""
+
 
 @kernel
 def receivers(received):
@@ -50,7 +53,8 @@ def decompose(p, failed, width):
     A pivot of zero (to rounding: SMALLEST_PIVOT_RATIO, INDEFINITE) is a direction without uncertainty, and its column
     of L zero. failed (width,) is set, and entries NaN, where p is indefinite. Only the lower triangle is read."""
     n = p.shape[0]
-    scale, inverse, row = np.empty((n, width)), np.empty(width), np.empty(width)
+    work = np.empty((n + 2, width))
+    scale, inverse, row = work[:n], work[n], work[n + 1]
     for j in range(n):
         for s in range(width):
             scale[j, s] = abs(p[j, j, s])
@@ -58,7 +62,7 @@ def decompose(p, failed, width):
         for s in range(width):
             pivot = p[j, j, s]
             good = pivot >= -INDEFINITE * scale[j, s]
-            positive = pivot > SMALLEST_PIVOT_RATIO * scale[j, s]
+            positive = pivot > SMALLEST_PIVOT_RATIO * scale[j, s] and pivot > SMALLEST
             inverse[s] = 1.0 / pivot if positive else 0.0
             p[j, j, s] = (pivot if positive else 0.0) if good else np.nan
             failed[s] |= not good
@@ -100,7 +104,7 @@ def compose(p, width):
 
 
 @kernel
-def _sequential(p, h, variance, received, gain, spread, failed, width):
+def sequential(p, h, variance, received, gain, spread, failed, width):
     """Measurements h (ny, n, width or 1) of uncorrelated noise, one after the other, on p (n, n, width) as `decompose`
     leaves it: L and D after them (Bierman's update, with L lower in place of U upper).
 
@@ -110,8 +114,9 @@ def _sequential(p, h, variance, received, gain, spread, failed, width):
     set where h P h' + r <= 0."""
     n = p.shape[0]
     shared, own = h.shape[2] == 1, variance.shape[1] > 1
-    seen, gained, step = np.empty((n, width)), np.empty((n, width)), np.empty(width)
-    total, inverse, moved = np.empty(width), np.empty(width), np.empty(width)
+    work = np.empty((2 * n + 4, width))
+    seen, gained = work[:n], work[n:2 * n]
+    total, inverse, moved, step = work[2 * n], work[2 * n + 1], work[2 * n + 2], work[2 * n + 3]
     for j in range(h.shape[0]):
         got = received[j]
         last = n - 1
@@ -166,8 +171,8 @@ def _sequential(p, h, variance, received, gain, spread, failed, width):
 
 
 @kernel
-def _shift(mean, innovation, h, gain, width):
-    """mean (n, width) moved by the scalar steps of `_sequential`: dx += K_j (innovation_j - h_j dx), j = 0, 1, ..
+def shift(mean, innovation, h, gain, width):
+    """mean (n, width) moved by the scalar steps of `sequential`: dx += K_j (innovation_j - h_j dx), j = 0, 1, ..
 
     h (ny, n, width or 1), gain (n, ny, width or 1). innovation (ny, width) becomes what is left of each in turn."""
     n = mean.shape[0]
@@ -305,13 +310,13 @@ def _update_kind(mean, covariance, y, predicted, received, h, r, residual, varia
                 for j in range(ny):
                     for s in range(width):
                         noise[j, s] = r[j, j, part[s]]
-            _sequential(p, jacobian, noise, got, gain, spread, lost, width)
-            _shift(x, innovation, jacobian, gain, width)
+            sequential(p, jacobian, noise, got, gain, spread, lost, width)
+            shift(x, innovation, jacobian, gain, width)
         else:
             gather3(r, part, width, tile)
             white, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
-            _sequential(p, white, noise, got, gain, spread, lost, width)
-            _shift(x, innovation, white, gain, width)
+            sequential(p, white, noise, got, gain, spread, lost, width)
+            shift(x, innovation, white, gain, width)
             for j in range(ny):
                 for s in range(width):
                     innovation[j, s] /= inverse[j, s]
@@ -339,10 +344,10 @@ def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residua
     for j in range(ny):
         noise[j, 0] = r[j, j, 0]
     decompose(covariance, lost, 1)
-    _sequential(covariance, h, noise, received, gain, variance, lost, 1)
+    sequential(covariance, h, noise, received, gain, variance, lost, 1)
     compose(covariance, 1)
     innovate(y, predicted, received, residual, runs)
-    _shift(mean, residual, h, gain, runs)
+    shift(mean, residual, h, gain, runs)
     if lost[0]:
         for s in range(runs):
             failed[s] = True

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from .core import HALF_LOG_TURN
+from .kalman import compose, decompose, sequential, shift
 
 
 @njit(cache=True)
@@ -45,7 +46,6 @@ def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
     becomes log N(y; y^, S) up to the constant all particles share."""
     nx = x.shape[0]
     moved, AP = np.zeros((nx, c)), np.zeros((nx, nx, c))
-    PH, e, gain = np.empty((nx, c)), np.empty(c), np.empty(c)
     for i in range(nx):
         for k in range(c):
             moved[i, k] = drive[i, k]
@@ -69,38 +69,28 @@ def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
             if j < i:
                 for k in range(c):
                     P[j, i, k] = P[i, j, k]
-    loglik[:c] = 0.0
-    volume = np.ones(c)  # a part of det S: one logarithm does for four rows, and their product stays a number
-    for a in range(len(yw)):
+    r = len(yw)
+    rows, noise = Cw.copy().reshape(r, nx, 1), np.ones((r, 1))
+    got, lost = np.ones((r, c), np.bool_), np.zeros(c, np.bool_)
+    gain, spread, innovation = np.empty((nx, r, c)), np.empty((r, c)), np.empty((r, c))
+    for a in range(r):
         for k in range(c):
-            e[k], gain[k] = yw[a], 1.0
-        for i in range(nx):
-            PH[i, :] = 0.0
-            for j in range(nx):
-                factor = Cw[a, j]
-                if factor != 0.0:
-                    for k in range(c):
-                        PH[i, k] += P[i, j, k] * factor
-        for i in range(nx):
-            factor = Cw[a, i]
-            if factor != 0.0:
-                for k in range(c):
-                    e[k] -= factor * x[i, k]
-                    gain[k] += factor * PH[i, k]
-        for k in range(c):
-            volume[k] *= gain[k]
-            gain[k] = 1.0 / gain[k]
-            loglik[k] -= 0.5 * (e[k] * e[k] * gain[k])
+            innovation[a, k] = yw[a]
         for i in range(nx):
             for k in range(c):
-                x[i, k] += PH[i, k] * (e[k] * gain[k])
-            for j in range(i + 1):
-                for k in range(c):
-                    P[i, j, k] -= PH[i, k] * PH[j, k] * gain[k]
-                if j < i:
-                    for k in range(c):
-                        P[j, i, k] = P[i, j, k]
-        if a % 4 == 3 or a == len(yw) - 1:
+                innovation[a, k] -= Cw[a, i] * x[i, k]
+    decompose(P, lost, c)
+    sequential(P, rows, noise, got, gain, spread, lost, c)
+    compose(P, c)
+    shift(x, innovation, rows, gain, c)
+    volume = np.ones(c)  # a part of det S: one logarithm does for four rows, and their product stays a number
+    for k in range(c):
+        loglik[k] = 0.0
+    for a in range(r):
+        for k in range(c):
+            volume[k] *= spread[a, k]
+            loglik[k] -= 0.5 * (innovation[a, k] * innovation[a, k] / spread[a, k])
+        if a % 4 == 3 or a == r - 1:
             for k in range(c):
                 loglik[k] -= 0.5 * np.log(volume[k])
                 volume[k] = 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -138,6 +139,33 @@ def test_kalman_update_is_the_conditional_gaussian(shared_h: bool, noise: str) -
     np.testing.assert_allclose(p, expected[:, 1:-1], rtol=1e-9, atol=1e-9)
     logs = np.where(received, norm(0.0, np.sqrt(np.where(received, variance, 1.0))).logpdf(residual), 0.0)
     np.testing.assert_allclose(logs.sum(axis=0), expected[0, -1], rtol=1e-10, atol=1e-10)
+
+
+def exact_variances(h: Array, r: float, start: float) -> Array:
+    """Diagonal of the covariance after measurements h (ny, n) of variance r, from start times I, in 60 digits."""
+    n = h.shape[1]
+    with localcontext(prec=60):
+        p = [[Decimal(start) * (a == b) for b in range(n)] for a in range(n)]
+        for row in h:
+            weights = [Decimal(float(value)) for value in row]
+            ph = [sum(p[a][k] * weights[k] for k in range(n)) for a in range(n)]
+            s = sum(weights[a] * ph[a] for a in range(n)) + Decimal(r)
+            p = [[p[a][b] - ph[a] * ph[b] / s for b in range(n)] for a in range(n)]
+        return np.array([float(p[a][a]) for a in range(n)])
+
+
+@pytest.mark.parametrize("noise", [1e-12, 1e-10, 1e-8])
+@pytest.mark.parametrize("ny", [3, 6])
+def test_no_variance_is_negative_or_wrong(noise: float, ny: int) -> None:
+    """Oblique sensors, exact beside what was known: here P - K S K' and Joseph's form go wrong."""
+    n = 4
+    h = draw(ny, n, RUNS)
+    x, p, failed = np.zeros((n, RUNS)), np.repeat(1e6 * np.eye(n)[:, :, None], RUNS, axis=2), np.zeros(RUNS, dtype=bool)
+    told, received = np.zeros((2, ny, RUNS)), np.ones((ny, RUNS), dtype=bool)
+    r = noise * np.eye(ny)[:, :, None]
+    assert kalman_update(x, p, np.zeros((ny, RUNS)), np.zeros((ny, RUNS)), received, h, r, *told, failed) == 0
+    for run in range(0, RUNS, 5):
+        np.testing.assert_allclose(p[:, :, run].diagonal(), exact_variances(h[:, :, run], noise, 1e6), rtol=1e-10)
 
 
 def test_shared_update_has_the_bits_of_the_other() -> None:
