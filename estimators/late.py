@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..scenarios.arrays import Array, Mask
+from ..scenarios.arrays import Array, Mask, read_only
 from ..scenarios.measurement import Interval, Measurement, PerRun
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
@@ -101,7 +101,7 @@ class Rewinding(Estimator):
             del self._past[self._now]
             self._now = (interval.step, 0)
             entry = self._next()
-        entry.prediction = (u.copy(), interval)
+        entry.prediction = (read_only(u.copy()), interval)
         self.estimator.predict(u, interval)
         self.status, self.reasons = self.estimator.status, self.estimator.reasons
 
@@ -174,8 +174,9 @@ class Rewinding(Estimator):
 def _merged(old: Measurement | None, new: Measurement) -> Measurement:
     """Both parts of the measurement of one stamp as one."""
     if old is None:
-        return new._replace(y=new.y.copy(), received=new.received.copy())
-    return old._replace(y=np.where(new.received, new.y, old.y), received=old.received | new.received)
+        return new._replace(y=read_only(new.y.copy()), received=read_only(new.received.copy()))
+    return old._replace(y=read_only(np.where(new.received, new.y, old.y)),
+                        received=read_only(old.received | new.received))
 
 
 def for_late(estimator: Estimator, policy: str, depth: int) -> Estimator:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from .arrays import Array
+from .arrays import Array, read_only
 from .errors import InputError, Unsupported
 from .measurement import Interval, Measurement, told
 
@@ -173,6 +173,8 @@ class DesignModel:
                     f"DesignModel.{name}(x, u, k, portion) is of railstate's first edition: write {name}(x, u, "
                     "interval), with interval.length in seconds, interval.share of the step's input and "
                     "interval.depart for k; measurement_covariance(measurement) likewise, with measurement.step for k")
+        for name in ("initial_mean", "initial_covariance"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def nx(self) -> int:
@@ -268,8 +270,8 @@ def product(matrix: Array, x: Array) -> Array:
     """matrix (m, n) times x (n, .., S) as sums over the small index: bit-identical for any number of runs (no BLAS)."""
     out = np.zeros((matrix.shape[0], *x.shape[1:]))
     columns = math.prod(x.shape[1:])
-    _accumulate(np.ascontiguousarray(matrix, dtype=float),
-                np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], columns),
+    _accumulate(read_only(np.ascontiguousarray(matrix, dtype=float)),
+                read_only(np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], columns)),
                 out.reshape(out.shape[0], columns))
     return out
 

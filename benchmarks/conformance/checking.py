@@ -36,6 +36,15 @@ class Report:
     findings: list[Finding]
 
 
+def _stopped(error: BaseException, case: str) -> Finding:
+    """What a class did wrong that raised."""
+    inputs = next(rule for rule in RULES if rule.name == "inputs")
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        return Finding(inputs.name, case, inputs.expected, raised(error), inputs.mend)
+    return Finding("runs", case, "design, start, predict, update and estimate do their work", raised(error),
+                   "see the line named above; start begins with super().start(model, runs, random)")
+
+
 def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], scenario: str = "") -> Report:
     """Check an estimator class on the small model and on a scenario. Raises InputError for parameters or a scenario
     that cannot be."""
@@ -74,9 +83,7 @@ def conform(cls: type[Estimator], plugin: str, parameters: Mapping[str, Any], sc
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # SystemExit and the like too
-            report.findings.append(Finding("runs", case.name, "design, start, predict, update and estimate do their "
-                                           "work", raised(error), "see the line named above; start begins with "
-                                           "super().start(model, runs, random)"))
+            report.findings.append(_stopped(error, case.name))
             continue
         trial = Trial(cls, case, record)
         for rule in RULES:

@@ -18,6 +18,9 @@ SEED = 1992
 DRAWS = 1999
 MARGIN = 0.01
 """Ratios within 1 +- MARGIN are a tie, where their whole interval is."""
+FLOOR = 0.25
+"""Least standard error of a log ratio of mean squares, in margins: pairs of near-copies, whose tiny differences are far
+from normal, would else set the critical value of the whole cell."""
 BLOCKS = 1000
 """More runs than this are averaged into so many blocks for the critical value."""
 LEAST = 20
@@ -180,7 +183,7 @@ def compare_all(values: Array, draws: Draws, power: float) -> Family:
     x = draws.blocks(m[some] / mean[some, None])
     x = x / x.mean(axis=1, keepdims=True)
     size = x.shape[1]
-    floor = np.log1p(MARGIN) / (16 * power)
+    floor = FLOOR * 0.5 * np.log1p(MARGIN) / power
     critical = critical_value(x, draws, floor)
     half, tails = np.full((k, k), np.inf), none.copy()
     sd = x.std(axis=1)

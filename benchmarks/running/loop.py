@@ -11,7 +11,7 @@ import numpy as np
 
 from ...estimators.interface import Estimate, Estimator, Innovation, cut
 from ...estimators.late import Mailbox
-from ...scenarios.arrays import Mask
+from ...scenarios.arrays import Mask, read_only
 from ...scenarios.errors import InputError
 from ...scenarios.measurement import Interval, Measurement, PerRun
 from ...scenarios.world import FIRST_EDITION, Step, World
@@ -74,11 +74,12 @@ class Loop:
         listens = None if under_way == len(step.active) else step.active
         if estimator.oracle:
             estimator.reveal(step.truth)
+        u = read_only(step.u)
         last, gone, begun = len(step.events) - 1, 0.0, perf_counter()
         for number, event in enumerate(step.events):
             share = event.share
             if not (isinstance(share, float) and share == 0.0) and (self.idle or np.any(share)):
-                estimator.predict(step.u, Interval(step.number, step.start + gone * step.length, share * step.length,
+                estimator.predict(u, Interval(step.number, step.start + gone * step.length, share * step.length,
                                                    share))
             gone = gone + share
             if observer.predicted_wanted and (number == last or observer.every):
@@ -116,6 +117,13 @@ class Loop:
             received = received & ~event.faulty
         self.mailbox.post(event, step.number, number, time)
         if self.idle or received.any():
-            yield Measurement(event.y, received, step.number, number, time, event.covariance)
+            yield _handed(Measurement(event.y, received, step.number, number, time, event.covariance))
         if number == len(step.events) - 1:
-            yield from self.mailbox.due(step.number, number, time, listens)
+            yield from map(_handed, self.mailbox.due(step.number, number, time, listens))
+
+
+def _handed(measurement: Measurement) -> Measurement:
+    """A measurement to be read."""
+    y, received, step, event, time, covariance = measurement
+    return Measurement(read_only(y), read_only(received), step, event, time,
+                       None if covariance is None else read_only(covariance))

@@ -90,8 +90,8 @@ class ModeFilters(Estimator):
     def update(self, measurement: Measurement) -> Innovation | None:
         still = np.zeros_like(self.x)
         filters(self.eye, still, np.eye(len(self.Q)) != 0, np.zeros_like(self.Q), self.C,
-                sensor_noise(self.model, measurement), self.x, self.P, self.logw, np.ascontiguousarray(measurement.y.T),
-                np.ascontiguousarray(measurement.received.T), self.alive, self.log_likelihood)
+                sensor_noise(self.model, measurement), self.x, self.P, self.logw, np.array(measurement.y.T, order="C"),
+                np.array(measurement.received.T, order="C"), self.alive, self.log_likelihood)
         flag(self, ~self.alive, Status.failed, "all modes became impossible")
         return Innovation(log_likelihood=self.log_likelihood)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from ...scenarios.arrays import Array
+from ...scenarios.arrays import Array, read_only
 from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Interval, Measurement
 from ...scenarios.model import DesignModel
@@ -74,7 +74,7 @@ class InteractingModels(Estimator):
     def predict(self, u: Array, interval: Interval) -> None:
         moving = np.ascontiguousarray(interval.moving(self.runs))
         mix(self.power(interval.share), self.weight, moving, self.bank._mean, self.bank._covariance)
-        self.bank.predict(np.tile(u, self.m), interval_of(interval, self.m))
+        self.bank.predict(read_only(np.tile(u, self.m)), interval_of(interval, self.m))
 
     def update(self, measurement: Measurement) -> Innovation | None:
         heard = measurement.received.any(axis=0)

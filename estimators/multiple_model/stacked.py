@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...scenarios.arrays import Array
+from ...scenarios.arrays import Array, read_only
 from ...scenarios.measurement import Interval, Measurement, PerRun
 from ...scenarios.model import DesignModel, Mode
 from ..kernels.mixing import powers
@@ -30,9 +30,10 @@ def interval_of(interval: Interval, m: int) -> Interval:
 def measurement_of(measurement: Measurement, m: int) -> Measurement:
     """The measurement for m modes."""
     covariance = measurement.covariance
-    return measurement._replace(y=np.tile(measurement.y, m), received=np.tile(measurement.received, m),
+    return measurement._replace(y=read_only(np.tile(measurement.y, m)),
+                                received=read_only(np.tile(measurement.received, m)),
                                 time=repeated(measurement.time, m),
-                                covariance=None if covariance is None else repeated(covariance, m))
+                                covariance=None if covariance is None else read_only(repeated(covariance, m)))
 
 
 def stacked(modes: Sequence[Mode], runs: int) -> DesignModel:

@@ -172,14 +172,14 @@ class GridParticles(Estimator):
         whole_steps(interval, type(self).__name__)
         if self.pending:
             self._run(*self.nothing, True)
-        self.inputs, self.uniforms = np.ascontiguousarray(u.T), self._draws()
+        self.inputs, self.uniforms = np.array(u.T, order="C"), self._draws()
         self.move(self.uniforms)
         self.pending, self.computed = True, False
 
     def update(self, measurement: Measurement) -> Innovation | None:
         self.kalman_updates += self.n * (self.moving[0].shape[1] if self.pending else 1)
         before = self.log_sum
-        self._run(np.ascontiguousarray(measurement.y.T), np.ascontiguousarray(measurement.received.T),
+        self._run(np.array(measurement.y.T, order="C"), np.array(measurement.received.T, order="C"),
                   sensor_noise(self.model, measurement), True)
         if self.memoryless or self.by_weight:  # their weights are no posterior
             return None

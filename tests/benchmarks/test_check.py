@@ -59,7 +59,7 @@ CHANGES: dict[str, tuple[str, str, str]] = {
                              "with nan in the elements that were not received"),
     "inputs": ("innovation = np.where(received, y - self.model.measurement(self.x, step), 0.0)",
                "y -= self.model.measurement(self.x, step)\n        innovation = np.where(received, y, 0.0)",
-               "it changed y"),
+               "read-only"),
     "claims": ("moving = ", "self.P = self.P - 0.5 * interval.share * np.eye(2)[:, :, None]\n        moving = ",
                "has the negative eigenvalue"),
     "statuses": ("Estimate(self.x,", "Estimate(np.where(self.deaf > 6, np.nan, self.x),",

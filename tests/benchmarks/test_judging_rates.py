@@ -13,7 +13,9 @@ import pytest
 from railstate.benchmarks.judging import statistics as st
 from railstate.benchmarks.judging.family import Draws, Family, compare_all, eligible
 from railstate.benchmarks.judging.table import verdicts
+from railstate.benchmarks.store.folder import Store
 
+from ..conftest import Command
 from .test_judging import manifest
 
 STUDIES = 2000
@@ -90,6 +92,18 @@ def test_power(sample: Sample, n: int, ratio: float) -> None:
         hits += found.verdict(5, best) == "worse"
     print(f"n {n}, ratio {ratio}: found in {100 * hits / studies:.1f} %")
     assert hits / studies >= 0.9 - 2 * np.sqrt(0.09 / studies)
+
+
+@pytest.mark.long
+def test_near_copies_do_not_hide_a_rival_that_is_an_eighth_worse(railstate: Command) -> None:
+    """Where the model is nearly linear ekf, ukf and ckf all but agree, the naive ones too: least errors of a ratio of
+    theirs must not set the whole cell's critical value."""
+    assert railstate("run", "ningbo-metro/gaussian", "--runs", 20, "--out", "all").code == 0
+    table = Store("all").verdicts()
+    assert table is not None
+    mine = table[(table["metric"] == "rmse") & (table["quantity"] == "position")
+                 & (table["estimator"] == "robust-mean-square")].iloc[0]
+    assert 1.1 < mine["ratio"] < 1.2 and mine["verdict"] == "worse"
 
 
 def coverage(sample: Sample, n: int, studies: int) -> float:
