@@ -19,6 +19,7 @@ class Direct(Estimator):
 
     Holds the start until a run's first packet; predicts nothing. Needs a constant, square, invertible C."""
 
+    family = "No filter"
     summary = "the last received measurement, held (C must be invertible)"
     source = "the usual practice that Zou et al., IEEE T-ITS 2018, section V, compare with"
     needs = ("linear",)
@@ -60,6 +61,7 @@ class Direct(Estimator):
 class DeadReckoning(Estimator):
     """The design model run forward from the start; measurements are ignored."""
 
+    family = "No filter"
     summary = "prediction only: the design model without measurements"
     source = "the first-principles baseline"
     honours = ("covariance",)

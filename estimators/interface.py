@@ -106,8 +106,9 @@ def used_with(parameters: Parameters, name: str, other: str, value: Any) -> None
 class Estimator(ABC):
     """A plug-in. Subclasses set the class attributes and the four recursive methods; `design` is optional.
 
-    summary: one line for `railstate list`. needs: names of `DesignModel` parts that must not be None (checked before
-    `design`). claims: fields of `Estimate` it fills beyond the mean. source: paper, equation or book.
+    summary: one line for `railstate list`. family: the report's column that its entries stand in. needs: names of
+    `DesignModel` parts that must not be None (checked before `design`). claims: fields of `Estimate` it fills beyond
+    the mean. source: paper, equation or book.
 
     predicts: False for what is no prediction at all (a measurement at hand): scored after the update of its step even
     where the scenario scores predictions. honours: what of a telling model it uses, or has no use for: "covariance",
@@ -121,6 +122,7 @@ class Estimator(ABC):
 
     Parameters: ClassVar[type[Parameters]] = Parameters
     summary: ClassVar[str] = ""
+    family: ClassVar[str] = "Other"
     source: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ()
     claims: ClassVar[tuple[str, ...]] = ()

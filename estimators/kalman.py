@@ -27,6 +27,7 @@ class ExtendedKalman(Estimator):
     decorrelated over the elements received. The covariance is kept as (nx, nx, 1) as long as the Jacobians, Q and
     the reception are the same for all runs."""
 
+    family = "EKF, Kalman"
     summary = "extended Kalman filter (first-order linearisation)"
     source = "Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 8.1"
     needs: ClassVar[tuple[str, ...]] = (

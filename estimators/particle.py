@@ -30,6 +30,7 @@ class BootstrapParticle(Estimator):
         resample_below: Annotated[float, Field(ge=0, le=1)] = Field(
             0.5, description="share of N below which the effective sample size triggers resampling (Liu and Chen 1998)")
 
+    family = "Particle"
     summary = "bootstrap particle filter, systematic resampling"
     source = "Gordon, Salmond and Smith, IEE Proc. F 140(2), 1993; systematic resampling: Kitagawa, JCGS 5(1), 1996"
     needs = ("process_covariance", "measurement_covariance")

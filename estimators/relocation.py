@@ -32,6 +32,7 @@ class Relocation(Estimator):
     first) and d what was travelled since by the model's own count."""
 
     Parameters = RelocationParameters
+    family = "No filter"
     summary = "dead reckoning, set anew by every measurement of the place"
     source = "the usual practice of train odometry (SUBSET-026, 3.6.4: location by the last balise group)"
     claims = ("covariance",)

@@ -130,6 +130,7 @@ class UnscentedKalman(SigmaPointKalman):
             """kappa for n states."""
             return max(3.0 - n, 0.0) if self.kappa is None else self.kappa
 
+    family = "UKF, CKF"
     summary = "unscented Kalman filter (scaled or Julier's points)"
     source = "Julier and Uhlmann, Proc. IEEE 92(3), 2004; van der Merwe, thesis, OHSU 2004"
 
@@ -153,6 +154,7 @@ class UnscentedKalman(SigmaPointKalman):
 class CubatureKalman(SigmaPointKalman):
     """Cubature Kalman filter: 2 n points at sqrt(n) standard deviations, equal weights, drawn anew for the update."""
 
+    family = "UKF, CKF"
     summary = "cubature Kalman filter (third-degree spherical-radial rule)"
     source = "Arasaratnam and Haykin, IEEE TAC 54(6), 2009, eqs. (22) to (56)"
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, NamedTuple
 
 import pandas as pd
 import typer
@@ -24,10 +25,9 @@ from ..planning.plan import make_plan
 from ..running.runner import Machinery
 from ..store.folder import Store
 from ..studies.complete import complete, default_folder
-from ..telling.console import print_table
-from ..telling.sayings import comparison_words
-from ..telling.tables import value_words
-from ..telling.wording import bracket, change, counted, percent, ratio, rough
+from ..telling.console import hush, print_json, print_table, wrapped
+from ..telling.sentences import comparison as words
+from ..telling.wording import bracket, change, counted, percent, ratio, rough, value_words
 from . import options
 
 
@@ -43,10 +43,16 @@ def compare(
     set_: options.Sets = [],  # noqa: B006
     plugin: options.Plugins = [],  # noqa: B006
     out: Annotated[str, typer.Option(help="Results folder of the runs; a finished one is not computed again.")] = "",
-    fail_on: Annotated[Literal["none", "worse", "different"], typer.Option(
-        help="Exit code 1 where B is significantly worse anywhere; or, for folders, where any row differs.")] = "none",
+    fail_on: Annotated[str, typer.Option(metavar="worse|different|METRIC:QUANTITY>PERCENT%", help=
+        "Exit code 1 where B is significantly worse anywhere; for folders, where any row differs; or where an error of "
+        "B is shown to be larger by more than this, such as \"rmse:position>5%\". Several: with a comma.")] = "",
+    json: options.Json = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Compare B with A, paired over the same runs: ratio of errors with its interval, runs won, runs lost, speed."""
+    limits = [_limit(text) for text in options.names_in(fail_on)]
+    hush(quiet or json)
+    show = not (quiet or json)
     folders = [Path(name, "manifest.json").is_file() for name in (a, b)]
     if any(folders):
         if not all(folders):
@@ -55,14 +61,14 @@ def compare(
                              "folders, or two estimators")
         first, second = Store(a), Store(b)
         changes = between_folders(first, second)
-        _print_rows(changes, a, b)
         found, speed = changes.found, speed_ratio(first.timing(), second.timing())
-        _print_comparisons(found, a, b, speed)
+        if show:
+            _print_rows(changes, a, b)
         different = not changes.identical
     else:
         if a == b:
             raise InputError(f"{a}: an estimator cannot be compared with itself; name two")
-        if fail_on == "different":
+        if DIFFERENT in limits:
             raise InputError("--fail-on different: is for two results folders; two estimators always differ")
         different = False
         store = _run(a, b, scenario or [], runs, seed, jobs, set_, plugin, out)
@@ -70,14 +76,63 @@ def compare(
         timing = store.timing()
         speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")
                                                         for name in (a, b)))
-        _print_comparisons(found, a, b, speed)
         if not found:
             raise InputError(f"{a} and {b} finished no two runs in common: "
                              + (f"`railstate replay` in {store.folder} shows why" if runs > 1 else
                                 "--runs: two at least are needed"))
-    worse = [each for each in found if each.verdict == "worse"]
-    if (fail_on == "worse" and worse) or (fail_on == "different" and different):
+    if show:
+        _print_comparisons(found, a, b, speed)
+    failed = [text for limit in limits for text in _failures(limit, found, different, a, b)]
+    if json:
+        print_json({"a": a, "b": b, "identical": not different if any(folders) else None, "failed": failed,
+                    "comparisons": [{"cell": each.cell, "estimator": each.label, "verdict": each.verdict, "a": each.a,
+                                     "b": each.b} for each in found],
+                    "speed": [{"cell": cell, "estimator": label, "ratio": factor}
+                              for (cell, label), factor in speed.items()]})
+    for text in failed if show else ():
+        wrapped(f"FAILED: {text}")
+    if failed:
         raise typer.Exit(1)
+
+
+class Limit(NamedTuple):
+    """What a comparison fails on: `worse`, `different`, or an error (metric, quantity) larger by more than a share."""
+
+    word: str
+    metric: str = ""
+    quantity: str = ""
+    share: float = 0.0
+
+
+WORSE, DIFFERENT = Limit("worse"), Limit("different")
+
+
+def _limit(text: str) -> Limit:
+    """A word of `--fail-on`. Raises InputError."""
+    found = re.fullmatch(r"([a-z-]+):([^>\s]+)\s*>\s*(\d+(?:\.\d+)?)\s*%", text)
+    if found:
+        return Limit("larger", found[1], found[2], float(found[3]) / 100)
+    if text not in ("worse", "different"):
+        raise InputError(f"--fail-on {text}: expected worse, different, or METRIC:QUANTITY>PERCENT%, such as "
+                         "rmse:position>5%")
+    return Limit(text)
+
+
+def _failures(limit: Limit, found: list[Comparison], different: bool, a: str, b: str) -> list[str]:
+    """What of a limit is exceeded. An error is larger by more than a share where the whole interval of its ratio lies
+    beyond it, so that chance fails a comparison in 5 % of the cases at most; what is lost is worse. Raises InputError
+    where nothing compared has that error."""
+    if limit == DIFFERENT:
+        return [f"rows of {b} differ from those of {a}"] if different else []
+    if limit == WORSE:
+        return [words(each, a, b) for each in found if each.verdict == "worse"]
+    mine = [each for each in found if (each.b["metric"], each.b["quantity"]) == (limit.metric, limit.quantity)]
+    known = sorted({f"{each.b['metric']}:{each.b['quantity']}" for each in found if not each.lost})
+    if known and not mine:
+        raise InputError(f"--fail-on {limit.metric}:{limit.quantity}: not among what is compared: {', '.join(known)}")
+    lost = [each for each in found if each.lost and each.verdict == "worse"]
+    return [words(each, a, b) for each in [*mine, *lost] if each.lost or each.b["ratio_low"] > 1 + limit.share]
+
 
 
 def _run(a: str, b: str, names: list[str], runs: int, seed: int, jobs: int, sets: list[str], plugins: list[str],
@@ -157,7 +212,7 @@ def _print_comparisons(found: list[Comparison], a: str, b: str, speed: dict[tupl
                     ["A, B: ± is half of the 95 % interval. B / A: ratio over the same runs, a lost run counted as the "
                      "largest error of either, with its 95 % interval; the verdict follows it."])
     for each in found:
-        print(comparison_words(each, a, b))
+        wrapped(words(each, a, b))
     for (cell, label), factor in speed.items():
         if any(each.cell == cell and each.label == label for each in found):
             times = f"{rough(max(factor, 1 / factor))} times {'slower' if factor > 1 else 'faster'} than"

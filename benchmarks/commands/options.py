@@ -35,6 +35,8 @@ Without = Annotated[list[str], typer.Option("--without", metavar="FROM..TO",
 
 Memory = Annotated[float, typer.Option("--memory", metavar="GB", min=0.0,
                                        help="Memory a plug-in's process may take (0: a share of the machine's).")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing: no tables, no progress.")]
 
 
 def gigabytes(memory: float) -> int:

@@ -5,23 +5,45 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
 from ..store.folder import inside
 
 FORMATS = ("svg", "pdf", "png")
+PUBLISHED = "results/published/published.csv"
+PUBLISHED_COLUMNS = ("paper", "item", "cell", "published", "ours", "standard_error", "unit", "verdict", "note")
+"""What the page shows of published.csv."""
 
 
 def report(
     folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
     out: Annotated[str, typer.Option(metavar="FILE.html", help="Where to write (default: DIR/report.html).")] = "",
+    published: Annotated[str, typer.Option(
+        metavar="FILE.csv", help="Published numbers to show, as `railstate reproduce` writes them; none: those of "
+        "results/published, where it is here.")] = PUBLISHED,
 ) -> None:
     """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
     from ..telling.report import write_report
 
-    path = write_report(folder, out)
+    path = write_report(folder, out, _published(published))
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+def _published(path: str) -> pd.DataFrame | None:
+    """The table of published numbers; None where there is none at the usual place. Raises InputError."""
+    if not path or (path == PUBLISHED and not Path(path).is_file()):
+        return None
+    try:
+        table = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--published {path}: cannot be read: {error}") from None
+    lacking = [name for name in PUBLISHED_COLUMNS if name not in table]
+    if lacking:
+        raise InputError(f"--published {path}: has no column {lacking[0]}; expected those of published.csv: "
+                         f"{', '.join(PUBLISHED_COLUMNS)}")
+    return table
 
 
 def plot(

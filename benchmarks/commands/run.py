@@ -15,16 +15,19 @@ from ...scenarios.errors import InputError
 from ..planning.plan import make_plan
 from ..running.runner import Machinery
 from ..studies.complete import complete, default_folder
-from ..telling.results import print_results
+from ..telling.console import hush
+from ..telling.results import print_results, print_results_json
 from .options import (
     Estimators,
     From,
     Jobs,
+    Json,
     Map,
     Memory,
     Missing,
     Plugins,
     Quality,
+    Quiet,
     Recording,
     Runs,
     Seed,
@@ -71,6 +74,8 @@ def run(
     retry: Annotated[str, typer.Option(metavar="STATUS,..", help="Statuses to compute anew: crashed,timeout,..")] = "",
     overwrite: Annotated[bool, typer.Option(
         "--overwrite", help="Compute anew what the folder holds of this; replace another configuration.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run estimators on scenarios and print the tables."""
     files = {f"plant.{name}": existing(f"--{name}", path) for name, path in (("line", line), ("train", train)) if path}
@@ -80,6 +85,7 @@ def run(
         raise InputError("--batch and --jobs: must be 0 (chosen) or more")
     if not timeout > 0:
         raise InputError("--timeout: must be more than 0 seconds")
+    hush(quiet or json)
     again = names_in(retry)
     allowed = [status.name for status in Status if status is not Status.ok]
     if not set(again) <= set(allowed) or (retry and not again):
@@ -90,4 +96,8 @@ def run(
     machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout,
                           gigabytes(memory))
     command = shlex.join(["railstate", *sys.argv[1:]])
-    print_results(complete(plan, folder, machinery, command, retry=again, overwrite=overwrite))
+    store = complete(plan, folder, machinery, command, retry=again, overwrite=overwrite)
+    if json:
+        print_results_json(store)
+    elif not quiet:
+        print_results(store)

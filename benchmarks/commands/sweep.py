@@ -24,7 +24,7 @@ from ..telling.console import print_table
 from ..telling.figures.axes import Style
 from ..telling.figures.canvas import LIGHT
 from ..telling.figures.data import assign_styles
-from ..telling.sayings import records
+from ..telling.rankings import records
 from ..telling.wording import bracket, plus_minus
 from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
 

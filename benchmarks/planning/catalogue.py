@@ -28,6 +28,7 @@ class Described:
 
     name: str
     summary: str
+    family: str
     source: str
     about: str
     needs: tuple[str, ...]
@@ -47,8 +48,9 @@ def said(name: str, cls: type[Estimator]) -> dict[str, Any]:
         {"parameter": key, "default": "required" if item.is_required() else json.dumps(item.default, default=str),
          "type": str(item.annotation).replace("typing.", "").removeprefix("<class '").removesuffix("'>"),
          "about": item.description or ""} for key, item in cls.Parameters.model_fields.items())
-    return asdict(Described(name, str(cls.summary), str(cls.source), str(cls.__doc__ or ""), names(cls.needs),
-                            names(cls.claims), bool(cls.oracle), source_hash(cls.__module__), parameters))
+    return asdict(Described(name, str(cls.summary), str(cls.family), str(cls.source), str(cls.__doc__ or ""),
+                            names(cls.needs), names(cls.claims), bool(cls.oracle), source_hash(cls.__module__),
+                            parameters))
 
 
 def said_by_file(path: str) -> list[dict[str, Any]]:

@@ -92,6 +92,7 @@ class AboutEstimator(_Part):
     """What is told of an estimator."""
 
     summary: Text
+    family: Annotated[str, Field(max_length=60)] = "Other"
     source: Text
     claims: list[str]
     oracle: bool
@@ -190,7 +191,8 @@ def description(plan: Plan) -> dict[str, Any]:
     plugins = {entry.plugin: plan.catalogue[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
     return {
         "scenarios": scenarios,
-        "estimators": {name: {"summary": one.summary, "source": one.source, "claims": one.claims, "oracle": one.oracle}
+        "estimators": {name: {"summary": one.summary, "family": one.family, "source": one.source, "claims": one.claims,
+                              "oracle": one.oracle}
                        for name, one in plugins.items()},
         "replay": {"plugins": plan.catalogue.files, "cells": {
             cell.key: {"where": cell.where, "table": dict(cell.table),

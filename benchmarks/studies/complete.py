@@ -25,7 +25,9 @@ from ..store.growth import OVERWRITTEN, Growth, grown
 from ..store.provenance import other_versions
 from ..telling.console import progress
 from ..telling.markup import to_latex, to_markdown
-from ..telling.tables import cell_tables, outage_tables, window_tables
+from ..telling.rankings import cells_of
+from ..telling.sentences import caption
+from ..telling.tables import cell_table, outage_tables, window_tables
 from ..telling.wording import notes_of
 
 
@@ -136,12 +138,11 @@ def write_tables(store: Store, rows: pd.DataFrame) -> None:
     table = verdicts(rows, manifest)
     store.write_verdicts(table)
     store.write_text("summary.csv", summary(table).to_csv(index=False))
-    for key, frame, caption in cell_tables(table, manifest, store.timing()):
-        scenario, variant = key.split("/")
-        notes = [caption, *notes_of(manifest["scenarios"][scenario]["variants"][variant])]
-        stem = f"tables/{scenario}~{variant}"
-        store.write_text(f"{stem}.md", to_markdown(key, frame, notes))
-        store.write_text(f"{stem}.tex", to_latex(key, frame, notes))
+    for cell in cells_of(table, manifest, store.timing()):
+        notes = [caption(cell), *notes_of(cell.about["variants"][cell.variant])]
+        frame, stem = cell_table(cell), f"tables/{cell.scenario}~{cell.variant}"
+        store.write_text(f"{stem}.md", to_markdown(cell.key, frame, notes))
+        store.write_text(f"{stem}.tex", to_latex(cell.key, frame, notes))
     for key, frame in outage_tables(rows):
         store.write_text(f"tables/{key.replace('/', '~')}~outages.csv", frame.to_csv(index=False))
     for title, frame in window_tables(table, manifest):

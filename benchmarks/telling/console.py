@@ -1,60 +1,214 @@
-"""Printing: result tables, progress on a terminal, and nothing of it anywhere else."""
+"""Printing: no line wider than the terminal (120 columns where there is none), no letter that the output cannot encode.
+
+Wide tables are set in several, one under another, the first column again in each. Progress is a bar on a terminal, a
+line a minute in a log."""
 
 from __future__ import annotations
 
+import json
+import math
+import os
+import shutil
 import sys
+import textwrap
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
-from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.text import Text
 
+from .marks import ASCII
 from .wording import numeric
 
-WIDE = 400
-"""Columns assumed where the output is a file or a pipe, so that no table is cut."""
+WIDE, NARROWEST = 120, 40
+GAP = 2
+LEAST_TEXT = 16
+"""Columns that a column of text keeps at least when it is wrapped."""
+Advance = Callable[[int, str], None]
+"""advance(count, what): so many more are done, the last of them of this."""
+Piece = tuple[str, str]
+"""(text, style)."""
 
 
-def console() -> Console:
-    """Standard output: as wide as the terminal, or wide enough for any table."""
-    return Console(soft_wrap=False) if sys.stdout.isatty() else Console(width=WIDE, no_color=True, highlight=False)
+def columns() -> int:
+    """Columns of the output: the terminal's; else what COLUMNS says, at most 120."""
+    found = shutil.get_terminal_size((WIDE, 24)).columns
+    return max(NARROWEST, found if sys.stdout.isatty() else min(found, WIDE))
 
 
-def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = (), to: Console | None = None) -> None:
-    """Print a table; text columns to the left, numbers to the right."""
-    out = to or console()
-    if title:
-        out.print(title, style="bold", highlight=False, markup=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in frame.columns:
-        values = [str(value) for value in frame[column]]
+def plain(text: str) -> str:
+    """A text in letters that standard output can encode."""
+    encoding = sys.stdout.encoding or "utf-8"
+    try:
+        text.encode(encoding)
+        return text
+    except UnicodeEncodeError:
+        for sign, words in ASCII.items():
+            try:
+                sign.encode(encoding)
+            except UnicodeEncodeError:
+                text = text.replace(sign, words)
+        return text.encode(encoding, "replace").decode(encoding)
+
+
+def say(*pieces: Piece | str) -> None:
+    """A line on standard output; colours on a terminal that has them, unless NO_COLOR asks for none."""
+    out = Console(width=10_000, highlight=False, markup=False, emoji=False, soft_wrap=True,
+                  no_color=None if sys.stdout.isatty() else True, legacy_windows=False)
+    parts = [(piece, "") if isinstance(piece, str) else piece for piece in pieces]
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
+        print("".join(text for text, _ in parts).rstrip())
+    else:
+        out.print(Text.assemble(*parts), end="\n")
+
+
+def wrapped(text: str, indent: str = "  ") -> None:
+    """A sentence, wrapped at the output's width; lines after the first are indented."""
+    for line in textwrap.wrap(plain(text), columns(), subsequent_indent=indent, break_on_hyphens=False) or [""]:
+        say(line)
+
+
+def command(*parts: str) -> None:
+    """A line to copy, continued by a backslash where it is longer than the output is wide."""
+    whole = plain("  " + " ".join(parts))
+    say(whole if len(whole) <= columns() else plain("  " + " \\\n    ".join(parts)))
+
+
+def print_json(content: Any) -> None:
+    """Plain data as JSON, numbers that are none as null."""
+    def clean(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: clean(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [clean(item) for item in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    print(json.dumps(clean(content), indent=1, default=lambda value: value.item() if hasattr(value, "item")
+                     else str(value)))
+
+
+@dataclass
+class Column:
+    """A column: head lines, cells of pieces. right: set to the right; text: may be wrapped. Widths are counted here."""
+
+    head: list[str]
+    cells: list[list[Piece]]
+    right: bool = False
+    text: bool = False
+
+    def __post_init__(self) -> None:
+        self.head = [plain(line) for line in self.head]
+        self.cells = [[(plain(text), style) for text, style in cell] for cell in self.cells]
+        self.width = max([*map(len, self.head), *(sum(len(text) for text, _ in cell) for cell in self.cells), 0])
+
+    @property
+    def least(self) -> int:
+        return min(self.width, max(LEAST_TEXT, *map(len, self.head))) if self.text else self.width
+
+
+def print_columns(first: Column, rest: Sequence[Column], heading: str = "") -> None:
+    """Columns side by side as far as they fit, then the next beneath, the first one again in each."""
+    if heading:
+        for line in textwrap.wrap(plain(heading), columns()):
+            say((line, "bold"))
+    width = columns()
+    waiting = list(rest)
+    while waiting or rest == []:
+        group = [first]
+        while waiting and (len(group) == 1 or sum(c.least + GAP for c in group) + waiting[0].least <= width):
+            group.append(waiting.pop(0))
+        _print_group(group, width)
+        if not waiting:
+            break
+
+
+def _print_group(group: list[Column], width: int) -> None:
+    widths = [column.least for column in group]
+    room = width - sum(widths) - GAP * (len(group) - 1)
+    for place, column in enumerate(group):  # what is left goes to texts, from the left
+        more = min(max(room, 0), column.width - widths[place])
+        widths[place] += more
+        room -= more
+    if room < 0:  # one column alone is too wide
+        widest = max(range(len(group)), key=lambda i: widths[i])
+        widths[widest] = max(8, widths[widest] + room)
+    depth = max(len(column.head) for column in group)
+    for i in range(depth):
+        heads = [([""] * (depth - len(column.head)) + column.head)[i] for column in group]
+        say((_joined([[(head, "")] for head in heads], group, widths), "bold"))
+    say(plain("─") * min(width, sum(widths) + GAP * (len(group) - 1)))
+    for row in range(len(group[0].cells)):
+        parts = [_lines(column.cells[row], size) for column, size in zip(group, widths, strict=True)]
+        for i in range(max(map(len, parts))):
+            pieces: list[Piece] = []
+            for column, size, part in zip(group, widths, parts, strict=True):
+                cell = part[i] if i < len(part) else []
+                pad = " " * (size - sum(len(text) for text, _ in cell))
+                pieces += [*([(pad, "")] if column.right else []), *cell, *([] if column.right else [(pad, "")]),
+                           (" " * GAP, "")]
+            say(*pieces[:-1])
+
+
+def _joined(cells: Sequence[Sequence[Piece]], group: Sequence[Column], widths: Sequence[int]) -> str:
+    texts = ["".join(text for text, _ in cell)[:size] for cell, size in zip(cells, widths, strict=True)]
+    return (" " * GAP).join(text.rjust(size) if column.right else text.ljust(size)
+                            for text, column, size in zip(texts, group, widths, strict=True)).rstrip()
+
+
+def _lines(cell: list[Piece], width: int) -> list[list[Piece]]:
+    if sum(len(text) for text, _ in cell) <= width:
+        return [cell]
+    style = cell[0][1] if cell else ""
+    return [[(line, style)] for line in textwrap.wrap("".join(text for text, _ in cell), width)]
+
+
+def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = ()) -> None:
+    """A table of texts: words to the left and wrapped, numbers to the right."""
+    made = []
+    for name in frame.columns:
+        values = ["" if pd.isna(value) else str(value) for value in frame[name]]
         right = numeric(values)
-        head = escape(str(column)).replace(" ", "\n") if right else escape(str(column))
-        table.add_column(head, justify="right" if right else "left", overflow="fold", no_wrap=right,
-                         min_width=None if right else min(24, max(map(len, [*values, str(column)]), default=0)))
-    for row in frame.itertuples(index=False):
-        table.add_row(*("" if pd.isna(value) else escape(str(value)) for value in row))
-    out.print(table)
+        made.append(Column(str(name).split(" ") if right else [str(name)], [[(value, "")] for value in values], right,
+                           not right))
+    if made:
+        print_columns(made[0], made[1:], title)
     for note in notes:
-        out.print(f"  {note}", style="dim", highlight=False, markup=False)
-    if notes:
-        out.print()
+        wrapped(note)
+    print()
+
+
+_hushed = False
+
+
+def hush(on: bool) -> None:
+    """Whether progress is kept to itself from here on."""
+    global _hushed
+    _hushed = on
+
+
+def _nothing(count: int, what: str) -> None:
+    """Progress that nobody sees."""
 
 
 @contextmanager
-def progress(total: int, unit: str) -> Iterator[Callable[[int, str], None]]:
-    """Yield `advance(count, what)`. A bar with rate and time left on a terminal's standard error; else silent."""
-    if not sys.stderr.isatty() or total == 0:
-        yield lambda count, what: None
+def progress(total: int, unit: str) -> Iterator[Advance]:
+    """Yield `advance(count, what)`: on standard error a bar with rate and time left, or a line a minute in a log."""
+    if total == 0 or _hushed:
+        yield _nothing
         return
-    columns = (TextColumn("{task.description:32.32}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} "
-               + unit), TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"),
-               TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    if not sys.stderr.isatty():
+        with _logged(total, unit) as logged:
+            yield logged
+        return
+    parts = (TextColumn("{task.description:32.32}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} "
+             + unit), TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    with Progress(*parts, console=Console(stderr=True), transient=True) as bar:
         job = bar.add_task("starting", total=total, rate="")
 
         def advance(count: int, what: str) -> None:
@@ -63,3 +217,30 @@ def progress(total: int, unit: str) -> Iterator[Callable[[int, str], None]]:
             bar.update(job, advance=count, description=what, rate=f"{done / elapsed:.0f}/s" if elapsed else "")
 
         yield advance
+
+
+MINUTE = 60.0
+"""Seconds between two lines of a log."""
+
+
+@contextmanager
+def _logged(total: int, unit: str) -> Iterator[Advance]:
+    begin, done, last, end = time.monotonic(), 0, "starting", threading.Event()
+
+    def advance(count: int, what: str) -> None:
+        nonlocal done, last
+        done, last = done + count, what
+
+    def tell() -> None:
+        while not end.wait(MINUTE):
+            elapsed = time.monotonic() - begin
+            left = f", about {elapsed * (total - done) / done / 60:.0f} min left" if done else ""
+            print(f"{elapsed / 60:.0f} min: {done}/{total} {unit}, {last}{left}", file=sys.stderr, flush=True)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield advance
+    finally:
+        end.set()
+        teller.join()

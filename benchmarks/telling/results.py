@@ -1,45 +1,48 @@
-"""A finished folder on standard output: tables, headlines, failures with their replay lines."""
+"""A finished folder on standard output: verdict tables, findings, lost runs with their replay lines, the count."""
 
 from __future__ import annotations
 
-from itertools import groupby
-
-import pandas as pd
-
 from ..judging.table import verdicts_of
 from ..store.folder import Store
-from .console import print_table
-from .sayings import headlines
-from .tables import cell_tables, requirement_tables, window_tables
+from .console import command, print_json, print_table, say, wrapped
+from .rankings import cells_of, records
+from .tables import window_tables
+from .terminal import print_cell, print_key
 from .wording import notes_of
 
 
 def print_results(store: Store) -> None:
-    """The tables on standard output, failures with their replay lines, and the closing count."""
+    """The cells on standard output, lost runs with their replay lines, and the closing count."""
     rows, manifest, table = store.rows(), store.manifest(), verdicts_of(store)
-    windows: dict[str, list[tuple[str, pd.DataFrame]]] = {}
-    for title, parts in (*requirement_tables(table), *window_tables(table, manifest)):
-        windows.setdefault(title.partition(": ")[0], []).append((title, parts))
-    tables = cell_tables(table, manifest, store.timing())
-    for scenario, variants in groupby(tables, lambda item: item[0].split("/")[0]):
-        told: set[str] = set()
-        for place, (key, frame, caption) in enumerate(variants):
-            notes = [caption, *notes_of(manifest["scenarios"][scenario]["variants"][key.split("/")[1]])]
-            print_table(key, frame, [note for note in notes if note not in told])
-            told.update(notes)
-            for title, parts in windows.pop(key, []):
-                if place == 0 or title.endswith(": requirements"):
-                    print_table(title, parts, ["Sizes: 95th percentiles over the runs."]
-                                if title.endswith(": requirements") else [])
-        for line in headlines(table, scenario):
-            print(f"{scenario}: {line}")
+    told: set[str] = set()
+    windows = list(window_tables(table, manifest))
+    for cell in cells_of(table, manifest, store.timing()):
+        print_cell(cell, f", seed {manifest['configuration']['seed']}")
+        for note in notes_of(cell.about["variants"][cell.variant]):
+            if note not in told:
+                wrapped(f"Note: {note}")
+                told.add(note)
+        for title, frame in windows:
+            if title.startswith(f"{cell.key}: ") and cell.variant == next(iter(cell.about["variants"])):
+                print_table(title, frame)
         print()
+    print_key()
+    print()
     bad = rows[rows["status"] != "ok"]
-    groups = bad.groupby(["scenario", "variant", "estimator", "status", "reason"], sort=False)
-    for (scenario, variant, estimator, status, reason), part in groups:
-        first = int(part["run"].iloc[0])
-        print(f"{status}: {scenario}/{variant}/{estimator}, {len(part)} of {manifest['configuration']['runs']} runs: "
-              f"{str(reason).splitlines()[0] if reason else 'no reason given'}\n"
-              f"  replay: railstate replay {scenario}/{variant}/{estimator}/{first} --out {store.folder}")
+    for (scenario, variant, estimator, status, reason), part in bad.groupby(
+            ["scenario", "variant", "estimator", "status", "reason"], sort=False):
+        wrapped(f"{status}: {scenario}/{variant}/{estimator}, {len(part)} of {manifest['configuration']['runs']} runs: "
+                f"{str(reason).splitlines()[0] if reason else 'no reason given'}")
+        command(f"railstate replay {scenario}/{variant}/{estimator}/{int(part['run'].iloc[0])}",
+                f"--out {store.folder}")
     counts = rows["status"].value_counts()
-    print(f"{len(rows)} rows: " + ", ".join(f"{n} {status}" for status, n in counts.items()) + f"; in {store.folder}")
+    say(f"{len(rows)} rows: " + ", ".join(f"{n} {status}" for status, n in counts.items()) + f"; in {store.folder}")
+    command("page: railstate report", str(store.folder))
+
+
+def print_results_json(store: Store) -> None:
+    """The same as data: folder, counts, the verdict table's lines."""
+    rows = store.rows()
+    print_json({"folder": str(store.folder), "rows": len(rows),
+                "statuses": {str(k): int(v) for k, v in rows["status"].value_counts().items()},
+                "verdicts": records(verdicts_of(store))})

@@ -1,4 +1,4 @@
-"""The printed tables: a line an estimator, values with half of their 95 % interval, of verdicts alone."""
+"""Tables as frames of texts, for files: a cell's verdicts, errors by window, errors by outage. Of verdicts alone."""
 
 from __future__ import annotations
 
@@ -8,79 +8,41 @@ from typing import Any
 import pandas as pd
 
 from ..scoring.columns import window_columns
-from .sayings import caption, records, short_verdicts
-from .wording import bracket, number, percent, plus_minus
-
-SHOWN = ("consistency", "claim", "error", "value", "share")
-"""Kinds of lines that a printed table shows, the first that has a metric."""
-LAST = ("lost", "latency [us]", "ns/run-step", "verdict")
+from .marks import drawn
+from .rankings import Cell, records
+from .sentences import title_of
+from .wording import bracket, metric_name, number, plus_minus, ratio_interval, ratio_of, value_words
 
 
-def cell_tables(table: pd.DataFrame, manifest: Mapping[str, Any],
-                timing: pd.DataFrame | None) -> Iterator[tuple[str, pd.DataFrame, str]]:
-    """For each scenario/variant its printed table and its caption: a line per estimator, values in the scenario's shown
-    units, the short verdict, latency and throughput."""
-    short = short_verdicts(table)
-    for (scenario, variant), part in table.groupby(["scenario", "variant"], sort=False):
-        wanted = [tuple(pair) for pair in manifest["scenarios"][str(scenario)]["table"]]
-        heads: dict[str, int] = {}
-        lines: list[dict[str, str]] = []
-        for estimator, mine in part.groupby("estimator", sort=False):
-            cells: dict[str, str] = {"estimator": str(estimator)}
-            known = records(mine)
-            for place, pair in enumerate(wanted):
-                line = next((each for kind in SHOWN for each in known
-                             if each["kind"] == kind and (each["metric"], each["quantity"]) == pair), None)
-                if line and (line["runs"] or line["kind"] == "error"):
-                    head = ("ANEES" if line["kind"] == "consistency" and pair[0] == "nees" else
-                            bracket(f"{line['metric']} {line['quantity']}", line["shown_unit"]))
-                    heads[head] = place
-                    cells[head] = value_words(line)
-            lost = next((line for line in known if line["metric"] == "lost"), None)
-            if lost and lost["lost"]:
-                cells["lost"] = f"{lost['lost']} of {lost['runs']}"
-            cells["verdict"] = short.get((str(scenario), str(variant), str(estimator)), "")
-            if timing is not None:
-                here = timing[(timing["scenario"] == scenario) & (timing["variant"] == variant)
-                              & (timing["estimator"] == estimator)]
-                if len(here):
-                    cells["latency [us]"] = number(float(here["latency_us_median"].iloc[0]))
-                    cells["ns/run-step"] = number(float(here["throughput_ns"].iloc[0]))
-            lines.append(cells)
-        frame = pd.DataFrame(lines).fillna("")
-        order = ["estimator", *sorted(heads, key=heads.__getitem__),
-                 *(c for c in LAST if c in frame.columns and frame[c].astype(bool).any())]
-        runs = int(part.loc[part["metric"] == "lost", "runs"].max())
-        yield f"{scenario}/{variant}", frame[order], caption(records(part, "error"), runs)
-
-
-def requirement_tables(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """(scenario/variant: requirements, table) of cells with requirements: a line an estimator and requirement, whether
-    it is met, the share that kept it with its interval, and the sizes beside it."""
-    for (scenario, variant), part in table[table["kind"] == "requirement"].groupby(["scenario", "variant"], sort=False):
-        yield f"{scenario}/{variant}: requirements", pd.DataFrame([
-            {"requirement": line["quantity"], "estimator": line["estimator"], "verdict": required_word(line),
-             "kept": f"{percent(line['value'])} [{number(100 * line['low'])}, {number(100 * line['high'])}]",
-             "asked": f"{percent(float(line['against']))} of {'runs' if line['metric'] == 'kept' else 'time'}",
-             "sizes": line["note"].removeprefix("P95 over runs: ")}
-            for line in sorted(records(part), key=lambda line: line["quantity"])])
-
-
-def required_word(line: Mapping[str, Any]) -> str:
-    """`met`, `not met`, or `undecided (about 120 runs)`."""
-    runs = f" (about {number(line['deciding'], 2)} runs)" if line["deciding"] < float("inf") else ""
-    return line["verdict"] + (runs if line["verdict"] == "undecided" else "")
-
-
-def value_words(line: Mapping[str, Any]) -> str:
-    """`0.112 ± 0.003`, shares as `95 % [84, 99]`; with the runs behind it where some are lost; nothing where there is
-    no value."""
-    if not line["runs"]:
-        return ""
-    if line["kind"] == "share" or line["metric"] == "coverage":
-        return f"{percent(line['value'])} [{number(100 * line['low'])}, {number(100 * line['high'])}]"
-    text = plus_minus(line)
-    return f"{text} of {line['runs']}" if line["lost"] and line["kind"] == "error" else text
+def cell_table(cell: Cell) -> pd.DataFrame:
+    """A line an entry: per error its verdict, value and ratio to the best; claim, requirements, outcomes, lost runs,
+    time of a step. Columns without an entry are left out."""
+    lines: list[dict[str, str]] = []
+    for label in cell.labels:
+        out = {"entry": label}
+        for ranking in cell.rankings:
+            line = ranking.line(label)
+            if line is not None and drawn(line):
+                out[ranking.quantity] = drawn(line)
+                out[title_of(ranking)] = value_words(line)
+                out[f"{ranking.quantity}: ratio"] = (
+                    "" if drawn(line) in ("oracle", "lost") else f"{ratio_of(line)} {ratio_interval(line)}".strip())
+        claim = cell.claim(label)
+        if claim is not None:
+            value = f" {number(claim['value'])}" if claim["kind"] == "consistency" else ""
+            out[f"claim ({metric_name(claim['metric'])})"] = f"{claim['verdict']}{value}"
+        for name, found in cell.requirements.items():
+            out[f"requirement {name}"] = next((f"{line['verdict']} {value_words(line)}" for line in found
+                                               if line["estimator"] == label), "")
+        for found in cell.outcomes:
+            head = bracket(f"{metric_name(found[0]['metric'])} {found[0]['quantity']}", found[0]["shown_unit"])
+            out[head] = next((value_words(line) for line in found if line["estimator"] == label), "")
+        out["lost"] = f"{cell.lost(label)} of {cell.runs}" if cell.lost(label) else ""
+        step = cell.timing.get(label, {}).get("latency_us_median", float("nan"))
+        out["step [µs]"] = number(step) if step == step and cell.lost(label) < cell.runs else ""
+        lines.append(out)
+    frame = pd.DataFrame(lines).fillna("")
+    return frame[[name for name in frame.columns if frame[name].astype(bool).any()]]
 
 
 def window_tables(table: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:

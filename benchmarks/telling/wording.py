@@ -30,23 +30,45 @@ def rough(value: float) -> str:
     return number(float(f"{value:.2g}"), 2) if np.isfinite(value) else number(value)
 
 
-def with_error(value: float, error: float) -> str:
-    """`0.1234 ± 0.0021`: the error with two digits, the value to the same place; powers of ten outside 0.001 .. 99999.
-    The value alone where the error is none, or rounding."""
+def split_error(value: float, error: float) -> tuple[str, str]:
+    """(`0.1234`, `0.0021`): the error with two digits, the value to the same place; powers of ten outside 0.001 ..
+    99999. No error where it is none, or rounding."""
     if not np.isfinite(error) or error <= 1e-9 * abs(value):
-        return number(value)
+        return number(value), ""
     power = int(np.floor(np.log10(max(abs(value), error))))
     scale = 0 if -4 < power < 5 else power
     value, error = value / 10.0**scale, error / 10.0**scale
     places = int(np.clip(1 - np.floor(np.log10(error)), 0, 8))
-    text = f"{value:.{places}f} ± {error:.{places}f}"
-    return (f"({text})·10{_raised(scale)}" if scale else text).replace("-", "−")
+    tail = f"·10{_raised(scale)}" if scale else ""
+    return f"{value:.{places}f}{tail}".replace("-", "−"), f"{error:.{places}f}{tail}"
+
+
+def halves(line: Mapping[str, Any]) -> tuple[str, str]:
+    """Value and half of the 95 % interval of a line of the verdict table, in its shown unit, as `split_error`."""
+    factor = line["factor"]
+    return split_error(line["value"] * factor, (line["high"] - line["low"]) / 2 * factor)
 
 
 def plus_minus(line: Mapping[str, Any]) -> str:
-    """A line of the verdict table as `with_error` of its value and half of its 95 % interval, in its shown unit."""
-    factor = line["factor"]
-    return with_error(line["value"] * factor, (line["high"] - line["low"]) / 2 * factor)
+    """A line of the verdict table as `0.1234 ± 0.0021`, in its shown unit; the value alone where there is no error."""
+    value, half = halves(line)
+    return f"{value} ± {half}" if half else value
+
+
+def value_of(line: Mapping[str, Any]) -> str:
+    """A line's value in its shown unit with three digits."""
+    return number(line["value"] * line["factor"])
+
+
+def value_words(line: Mapping[str, Any]) -> str:
+    """`0.112 ± 0.003`, shares as `95 % [84, 99]`; with the runs behind it where some are lost; nothing where there is
+    no value."""
+    if not line["runs"]:
+        return ""
+    if line["kind"] in ("share", "requirement") or line["metric"] == "coverage":
+        return f"{percent(line['value'])} [{number(100 * line['low'])}, {number(100 * line['high'])}]"
+    text = plus_minus(line)
+    return f"{text} of {line['runs']}" if line["lost"] and line["kind"] == "error" else text
 
 
 def bracket(name: str, unit: str) -> str:
@@ -54,11 +76,24 @@ def bracket(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def ratio(value: float) -> str:
-    """A ratio of errors: three decimals within 1 % of 1 (so that 1.002 is not 1), two under 10, one under 100."""
+def ratio(value: float, fine: bool = False) -> str:
+    """A ratio of errors: two decimals under 10, one under 100. fine: three within 1 % of 1, for bounds and for what is
+    called worse, so that 1.002 is not 1."""
     if not np.isfinite(value):
         return number(value)
-    return f"{value:.{3 if 0 < abs(value - 1) < 0.01 else 2 if value < 10 else 1 if value < 100 else 0}f}"
+    return f"{value:.{3 if fine and 0 < abs(value - 1) < 0.01 else 2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
+
+
+def ratio_of(line: Mapping[str, Any]) -> str:
+    """The ratio of a line; the best's is 1."""
+    return "1" if line["verdict"] == "best" else ratio(line["ratio"], line["verdict"] in ("worse", "better"))
+
+
+def ratio_interval(line: Mapping[str, Any]) -> str:
+    """`[1.002, 1.29]`; nothing for the best."""
+    if line["verdict"] == "best" or not np.isfinite(line["ratio_low"]):
+        return ""
+    return f"[{ratio(line['ratio_low'], True)}, {ratio(line['ratio_high'], True)}]"
 
 
 def percent(share: float, digits: int = 2) -> str:
@@ -81,35 +116,25 @@ def change(line: Mapping[str, Any]) -> str:
     return _change(line["ratio"] - 1)
 
 
-def change_range(ratios: Sequence[float]) -> str:
-    """`change` of several: once where they look the same, else `+39 to +41 %` or `2.8 to 75 times`."""
-    least, most = min(ratios) - 1, max(ratios) - 1
-    if most >= 2 > least:
-        return f"{number(least + 1, 2)} to {_change(most)}"
-    ends = [_change(least), _change(most)]
-    if ends[0] == ends[1]:
-        return ends[0]
-    common = next((unit for unit in (" %", " times") if all(end.endswith(unit) for end in ends)), "")
-    return f"{ends[0].removesuffix(common)} to {ends[1]}"
-
-
 def change_interval(line: Mapping[str, Any]) -> str:
-    """`+12 % [10, 14]`: the change with its interval."""
+    """`+12 % [+10, +14]`, `3.0 times [2.6, 3.4]`: the change with its interval."""
     value, low, high = (line[name] for name in ("ratio", "ratio_low", "ratio_high"))
-    if not np.isfinite(value) or low == high == 1:
+    if not np.isfinite(value) or low == high:
         return change(line)
-    if value >= 3:
+    if value >= 2:
         return f"{change(line)} [{number(low, 2)}, {number(high, 2)}]"
-    return f"{change(line)} [{_bare(low - 1)}, {_bare(high - 1)}]"
+    return f"{change(line)} [{_signed(low - 1)}, {_signed(high - 1)}]"
 
 
 def _change(relative: float) -> str:
     if not np.isfinite(relative):
         return "–" if np.isnan(relative) else "∞"
-    if relative >= 2:
-        return f"{number(relative + 1, 2)} times"
+    return f"{number(relative + 1, 2)} times" if relative >= 1 else f"{_signed(relative)} %"
+
+
+def _signed(relative: float) -> str:
     sign = "+" if relative > 0 else "−" if relative < 0 else "±"
-    return f"{sign}{_bare(abs(relative))} %"
+    return sign + _bare(abs(relative))
 
 
 def _bare(relative: float) -> str:
@@ -131,7 +156,12 @@ def numeric(values: Sequence[object]) -> bool:
 
 def metric_name(metric: str) -> str:
     """A metric as tables and figures call it: abbreviations in capitals."""
-    return metric.upper() if metric in ("rmse", "mae") else metric
+    return {"rmse": "RMSE", "mae": "MAE", "nees": "ANEES", "nis": "NIS"}.get(metric, metric.replace("-", " "))
+
+
+def capital(quantity: str) -> str:
+    """A quantity at the head of a sentence; names of one letter, or of a letter and figures, keep their case."""
+    return quantity if len(quantity) < 3 or not quantity[0].isalpha() else quantity[0].upper() + quantity[1:]
 
 
 def listing(names: Sequence[str]) -> str:
@@ -139,16 +169,24 @@ def listing(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
 
 
-def some(names: Sequence[str], most: int = 4) -> str:
-    """`listing`, with `9 others` for what goes beyond `most` names."""
-    if len(names) <= most:
-        return listing(names)
-    return listing([*names[:most - 1], f"{len(names) - most + 1} others"])
+def some(names: Sequence[str]) -> str:
+    """Names in a row; of more than five, four `and 9 others`."""
+    return ", ".join(names) if len(names) <= 5 else f"{', '.join(names[:4])} and {len(names) - 4} others"
 
 
 def counted(number_of: int, noun: str) -> str:
-    """`1 run`, `2 runs`."""
-    return f"{number_of} {noun}" + ("" if number_of == 1 else "s")
+    """`1 run`, `2 runs`, `12,000 runs`."""
+    return f"{number_of:,} {noun}" + ("" if number_of == 1 else "s")
+
+
+def deciding(line: Mapping[str, Any]) -> str:
+    """`40 runs`: about how many would decide, in tens under 1,000, then two figures; nothing where it is not known."""
+    runs = line["deciding"]
+    if not 0 < runs < float("inf"):
+        return ""
+    if runs > 1e5:
+        return "more than 100,000 runs"
+    return f"{-(-int(runs) // 10) * 10 if runs < 1000 else int(float(f'{runs:.2g}')):,} runs"
 
 
 def notes_of(variant: Mapping[str, Any]) -> list[str]:

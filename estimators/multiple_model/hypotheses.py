@@ -35,6 +35,7 @@ class InteractingModels(Estimator):
     A part p of a step mixes by the transition matrix to the power p."""
 
     Parameters = HypothesesParameters
+    family = "IMM"
     summary = "interacting multiple model filter over whole design models (an EKF each)"
     source = "Blom, Bar-Shalom, IEEE Transactions on Automatic Control 33(8), 1988"
     needs = ("modes", *ExtendedKalman.needs)

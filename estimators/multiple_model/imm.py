@@ -60,6 +60,7 @@ class InteractingMultipleModel(ModeFilters):
     """IMM: mix the modes' Gaussians by the transition probabilities, filter each with its mode, weigh, combine."""
 
     Parameters = ModelTransition
+    family = "IMM"
     summary = "interacting multiple model filter over the parameter's grid"
     source = "Blom, Bar-Shalom, IEEE Transactions on Automatic Control 33(8), 1988"
 

@@ -53,6 +53,8 @@ class Weighed(NamedTuple):
 class ElementwiseKalman(ExtendedKalman):
     """The extended Kalman filter, elements in turn; subclasses weigh each one. Needs uncorrelated sensor noise."""
 
+    family = "Outlier-robust"
+
     @classmethod
     def require(cls, model: DesignModel) -> None:
         super().require(model)

@@ -51,6 +51,7 @@ class RandomAccessFilter(Estimator):
     given the nodes that were heard."""
 
     Parameters = RandomAccessParameters
+    family = "Random access"
     summary = "recursive filter under the random access protocol, covariance averaged over it"
     source = "Zou, Wang, Han, Zhou: Recursive Filtering for Time-Varying Systems with Random Access Protocol, Theorem 1"
     needs = ("linear", "reception")
@@ -137,6 +138,7 @@ class ConditionalRandomAccess(Kalman):
 
     Its covariance depends on the nodes heard so far, so each run has its own (nx, nx, S)."""
 
+    family = "Random access"
     summary = "Kalman filter given the node that was heard: the optimum under random access"
     source = "Zou, Wang, Han, Zhou: Recursive Filtering for Time-Varying Systems with Random Access Protocol, Remark 4"
 

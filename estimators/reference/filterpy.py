@@ -42,6 +42,7 @@ class FilterpyFilter(PerRun):
 class FilterpyExtended(FilterpyFilter):
     """filterpy's EKF. It has no transition function: its covariance prediction is used, the mean is set to f(x, u)."""
 
+    family = "EKF, Kalman"
     summary = "reference: filterpy's extended Kalman filter, one object per run"
     needs = ExtendedKalman.needs
 
@@ -73,6 +74,7 @@ class FilterpyUnscented(FilterpyFilter):
                 raise ValueError("redraw = false: filterpy always redraws the points; only ukf can reuse them")
             return self
 
+    family = "UKF, CKF"
     summary = "reference: filterpy's unscented Kalman filter, one object per run"
     needs = UnscentedKalman.needs
 
@@ -103,6 +105,7 @@ class FilterpyCubature(FilterpyFilter):
     drawn anew before each update. It takes covariances as differences of squares, which loses digits far from the
     origin: the filter lives in coordinates around its latest estimate (`filter.centre`), its own x being zero."""
 
+    family = "UKF, CKF"
     summary = "reference: filterpy's cubature Kalman filter, points redrawn, one object per run"
     needs = CubatureKalman.needs
 

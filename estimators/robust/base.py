@@ -50,6 +50,7 @@ class Robust(Estimator):
     A = I and no disturbance). Elements of y that were not received, or whose sensor has no finite bound, get no gain.
     `stability` (S,): the largest |(I - K C)(A + M Delta N)|^2 (spectral norm) so far; the paper asks for < 1."""
 
+    family = "Robust"
     source = SOURCE
     needs: ClassVar[tuple[str, ...]] = ("bounds", "transition_jacobian", "measurement_jacobian")
     sensors_bounded: ClassVar[bool] = True

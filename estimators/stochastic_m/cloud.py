@@ -54,7 +54,7 @@ class GridParticles(Estimator):
         grid_of(model, cls.__name__)
 
     @abstractmethod
-    def family(self, modes: Grid) -> tuple[Index, Array]:
+    def offspring(self, modes: Grid) -> tuple[Index, Array]:
         """Children (m, g) of each grid value and their log prior (m, g)."""
 
     @abstractmethod
@@ -82,7 +82,7 @@ class GridParticles(Estimator):
 
     def design(self, model: DesignModel) -> dict[str, Any]:
         """The work a step takes (Table 2's times stand for it)."""
-        g = self.family(grid_of(model, type(self).__name__))[0].shape[1]
+        g = self.offspring(grid_of(model, type(self).__name__))[0].shape[1]
         sizes = self._sizes(g)
         return {"particles": max(sizes), "kalman_updates_per_step": float(np.mean(sizes[:60])) * g}
 
@@ -94,7 +94,7 @@ class GridParticles(Estimator):
         if np.count_nonzero(variance - np.diag(np.diag(variance))):
             raise Unsupported(f"{type(self).__name__} needs a diagonal initial covariance")
         m, n = len(modes.grid), self.first()
-        self.moving = self.family(modes)
+        self.moving = self.offspring(modes)
         self.waiting = np.arange(m)[:, None], np.zeros((m, 1))
         self.n, capacity = n, max(self._sizes(self.moving[0].shape[1]))
         self.known = factorised.known_states(modes, variance)

@@ -72,6 +72,7 @@ class StochasticM(GridParticles):
     """Stochastic M-algorithm: every particle goes on to every grid value, then the cloud is pruned."""
 
     Parameters = StochasticMParameters
+    family = "SMA, GSMA"
     summary = "stochastic M-algorithm: each particle tries every value of the parameter's grid"
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
@@ -83,7 +84,7 @@ class StochasticM(GridParticles):
         """Grid indices a particle may go on to, (m, g)."""
         return transitions.everywhere(len(grid))
 
-    def family(self, modes: Grid) -> tuple[Index, Array]:
+    def offspring(self, modes: Grid) -> tuple[Index, Array]:
         children = self.children(modes.grid)
         sticky = self.parameters.prior == "sticky"
         transition = (transitions.tridiagonal(len(modes.grid), self.parameters.stay) if sticky
@@ -114,6 +115,7 @@ class RaoBlackwellizedParticle(GridParticles):
     systematically after every step."""
 
     Parameters = RaoBlackwellizedParameters
+    family = "Particle"
     summary = "Rao-Blackwellized particle filter: sampled parameter, Kalman filter for the state"
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
@@ -127,7 +129,7 @@ class RaoBlackwellizedParticle(GridParticles):
             return transitions.tridiagonal(m, 1 - chosen.jitter) if chosen.jitter > 0 else None
         return transitions.uniform(m) if chosen.prior == "uniform" else transitions.tridiagonal(m, chosen.stay)
 
-    def family(self, modes: Grid) -> tuple[Index, Array]:
+    def offspring(self, modes: Grid) -> tuple[Index, Array]:
         m = len(modes.grid)
         transition = self._transition(m)
         self.edges = None

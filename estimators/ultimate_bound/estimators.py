@@ -50,6 +50,7 @@ class ConstantGain(Estimator):
     holds from the first step where the estimator starts at the truth, else after the transient theta^k V(0)."""
 
     Parameters = DecayParameters
+    family = "LMI gain"
     source = "Zou, Wen, Wang, Chen, Roberts, IEEE T-ITS 2018, doi 10.1109/TITS.2018.2835655"
     needs: ClassVar[tuple[str, ...]] = ("linear",)
     claims = ("bound",)

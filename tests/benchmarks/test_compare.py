@@ -158,7 +158,7 @@ def test_what_changed_between_two_folders(others: Command) -> None:
     assert done.code == 1
     assert "cart/calm/half: source changed" in done.out and "runs: 30 -> 40" in done.out
     assert "30 of 60 common rows bit-identical; 0 only in before, 20 only in after" in done.out
-    assert "cart/calm/half: position rmse: after is worse than before, +" in done.out
+    assert "cart/calm/half: position rmse: after is worse than before, 2." in done.out
     changes = between_folders(Store("before"), Store("after"))
     assert {(item.label, item.common, item.identical, item.only_b) for item in changes.alike} == {
         ("half", 30, 0, 10), ("kalman", 30, 30, 10)}

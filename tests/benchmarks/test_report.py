@@ -1,10 +1,14 @@
-"""The report and the verdicts: what they say of rows whose truth is known, and that the page holds all of it.
+"""What people read: sentences, terminal and page say what the verdict table says, and nothing of their own.
 
 The page is parsed here; a real browser opens it in `test_report_browser.py`."""
 
 from __future__ import annotations
 
+import io
+import itertools
+import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,18 +16,19 @@ import numpy as np
 import pandas as pd
 import pytest
 from railstate.benchmarks.commands.report import report
-from railstate.benchmarks.judging import statistics as st
 from railstate.benchmarks.judging.selection import Aligned
 from railstate.benchmarks.store.folder import Store
-from railstate.benchmarks.telling import sayings, wording
+from railstate.benchmarks.telling import sentences, wording
 from railstate.benchmarks.telling.figures.data import Results, load_results
-from railstate.benchmarks.telling.paragraphs import paragraph
+from railstate.benchmarks.telling.marks import ASCII, MARKS, drawn
+from railstate.benchmarks.telling.rankings import Cell
 from railstate.benchmarks.telling.report import write_report
-from railstate.benchmarks.telling.report.table import Entry, contest_table, failures, table
+from railstate.benchmarks.telling.report.matrix import anchor, matrix
+from railstate.benchmarks.telling.report.sections import Entry, failures, fault_table, published_tables, table
+from railstate.benchmarks.telling.results import print_results, print_results_json
 from railstate.scenarios.errors import InputError
-from scipy import stats
 
-from ..synthetic_results import BRAKING, CBTC, METRO, RUNS, write_results
+from ..synthetic_results import BRAKING, CBTC, METRO, write_results
 
 
 @pytest.fixture(scope="module")
@@ -36,147 +41,99 @@ def html(results: Results) -> str:
     return write_report(results.folder).read_text(encoding="utf-8")
 
 
-def entry(results: Results, scenario: str, variant: str, label: str, head: str) -> Entry:
-    cell = next(cell for cell in results.scenarios[scenario] if cell.variant == variant)
+def cell_of(results: Results, key: str) -> Cell:
+    return next(found.cell for cells in results.scenarios.values() for found in cells if found.key == key)
+
+
+def entry(cell: Cell, label: str, head: str) -> Entry:
     made = table(cell)
-    column = next(i for i, (name, _) in enumerate(made.heads) if name.startswith(head))
-    return next(line for line in made.lines if line.label == label).entries[column]
+    column = next(i for i, (_, name, _) in enumerate(made.heads) if name.startswith(head))
+    return next(entries for name, entries in made.lines if name == label)[column]
 
 
-def test_errors_stand_with_their_interval_and_a_verdict_against_the_best(results: Results) -> None:
-    rows = results.rows
-    cell = rows[(rows["variant"] == "switching")]
-    column = "rmse:position:m"
-    ekf, naive = (cell.loc[cell["estimator"] == name, column].to_numpy() for name in ("ekf", "ekf-naive"))
-    best = entry(results, "ningbo-metro", "switching", "ekf", "position")
-    value, half = (float(v) for v in best.text.split(" ± "))
-    assert value == pytest.approx(np.sqrt((ekf**2).mean()), abs=1e-4)
-    hall = st.rooted(st.hall(ekf**2, positive=True))
-    assert half == pytest.approx(float(hall.high - hall.low) / 2, rel=0.02)
-    assert (best.detail, best.kind) == ("best", "good")
-    worse = entry(results, "ningbo-metro", "switching", "ekf-naive", "position")
-    ratio = np.sqrt((naive**2).mean() / (ekf**2).mean())
-    assert worse.detail.startswith(f"worse: {ratio:.1f} times [")
-    assert worse.detail.endswith("wins 0 %")
-    assert worse.kind == "bad"
-    assert entry(results, "ningbo-metro", "switching", "ukf", "position").detail.startswith("tie: +0.")
+# -- sentences -----------------------------------------------------------------------------------------------------
+def test_every_number_of_a_finding_is_the_verdict_tables(results: Results) -> None:
+    """Each sentence is taken apart; its numbers are looked up in the table and worded anew here."""
+    for cells in results.scenarios.values():
+        for found in cells:
+            lines = results.verdicts[(results.verdicts["scenario"] == found.scenario)
+                                     & (results.verdicts["variant"] == found.variant)
+                                     & (results.verdicts["kind"] == "error")]
+            for ranking in found.cell.rankings:
+                mine = lines[(lines["metric"] == ranking.metric) & (lines["quantity"] == ranking.quantity)].set_index(
+                    "estimator")
+                text = sentences.finding(found.cell, ranking)
+                value, half, best, runs = re.search(  # type: ignore[union-attr]
+                    r"least [\w -]+? ([\d.]+) ± ([\d.]+)[^(]*\(([\w-]+), (\d+) runs\)", text).groups()
+                row = mine.loc[best]
+                assert row["verdict"] == "best" and int(runs) == row["runs"]
+                digit = 0.51 * 10.0 ** -len(half.partition(".")[2])
+                assert float(value) == pytest.approx(row["value"] * row["factor"], abs=digit)
+                assert float(half) == pytest.approx((row["high"] - row["low"]) / 2 * row["factor"], abs=digit)
+                for name, size, low, high in re.findall(r"([\w-]+) \(([+−\d.]+) % \[([+−\d.]+), ([+−\d.]+)\]", text):
+                    shown = [float(number.replace("−", "-")) for number in (size, low, high)]
+                    assert shown == pytest.approx([100 * (mine.loc[name, c] - 1) for c in (
+                        "ratio", "ratio_low", "ratio_high")], abs=0.51)
+                for name, size, low, high in re.findall(r"([\w-]+) \(([\d.]+) times \[([\d.]+), ([\d.]+)\]", text):
+                    assert [float(size), float(low), float(high)] == pytest.approx(
+                        [mine.loc[name, c] for c in ("ratio", "ratio_low", "ratio_high")], rel=0.06)
+                counts = re.search(r"Worse: (\d+) of (\d+)", text)
+                assert (int(counts[1]) if counts else 0) == (mine["verdict"] == "worse").sum()
+                if counts:
+                    assert int(counts[2]) == (~mine["verdict"].isin(["oracle", "none"])).sum()
+                ties = re.search(r"Tied, within 1 %: ([\w, -]+)\.", text)
+                assert (set(ties[1].split(", ")) if ties else set()) == set(mine.index[mine["verdict"] == "tie"])
 
 
-def test_promises_are_held_against_the_rows(results: Results) -> None:
-    assert entry(results, "ningbo-metro", "switching", "ekf", "ANEES").kind == "good"
-    assert "too sure" in entry(results, "ningbo-metro", "switching", "ekf-naive", "ANEES").detail
-    assert "too cautious" in entry(results, "ningbo-metro", "switching", "ekf-inflated", "ANEES").detail
-    coverage = entry(results, "ningbo-metro", "switching", "robust-ellipsoid", "set")
-    assert coverage.text == "99.9 %"
-    assert coverage.detail.startswith("left in 1 of 24 runs; position ±0.6")
-    assert entry(results, "cbtc-csma", "uniform", "ultimate-bound", "measured").detail.startswith("kept")
-    assert entry(results, "cbtc-csma", "uniform", "fastest-decay", "measured").detail.startswith("broken")
+def test_counts_over_a_folder_are_the_verdict_tables(results: Results) -> None:
+    errors = results.verdicts[results.verdicts["kind"] == "error"]
+    claims = results.verdicts[(results.verdicts["kind"] == "consistency") & (results.verdicts["metric"] == "nees")]
+    first, second = sentences.over_all([c.cell for cells in results.scenarios.values() for c in cells], 24)
+    compared, worse, ties, undecided, lost = map(int, re.findall(r"\d+", first.replace("1 %", ""))[1:6])
+    words = [drawn(line) for line in errors.to_dict("records")]
+    assert [worse, ties, undecided, lost] == [words.count(word) for word in ("worse", "tie", "undecided", "lost")]
+    assert compared == worse + ties + undecided + lost
+    assert f"Lost runs: {(results.rows['status'] != 'ok').sum()} of {len(results.rows)}." in second
+    assert f"Of {len(claims)} covariance claims {(claims['verdict'] == 'too sure').sum()} are too sure" in second
 
 
-def test_cells_without_a_claim_are_empty_with_the_reason(results: Results) -> None:
-    for scenario, variant, label, head, reason in (
-            ("ningbo-metro", "white", "robust-mean-square", "ANEES", "claims no covariance"),
-            ("ningbo-metro", "white", "ekf", "set", "claims no set"),
-            ("cbtc-csma", "uniform", "kalman", "measured", "certifies no bound"),
-            ("cbtc-csma", "table3", "fastest-decay", "position", "no finished run")):
-        found = entry(results, scenario, variant, label, head)
-        assert (found.text, found.kind, found.sort) == (reason, "none", None)
+def test_a_scenario_over_its_variants(results: Results) -> None:
+    position, speed = sentences.over_variants([cell.cell for cell in results.scenarios["ningbo-metro"]])
+    assert position == ("Position, 3 variants. Best or tied in 2: ekf, ukf; in 1: robust-mean-square. Worse in every "
+                        "variant: ekf-inflated, robust-ellipsoid, ekf-naive.")
+    assert speed.startswith("Speed, 3 variants.")
+    assert sentences.over_variants([cell.cell for cell in results.scenarios["braking-rate"]]) == []
 
 
-def test_shown_units_latency_and_oracles(results: Results) -> None:
-    cell = results.scenarios["braking-rate"][0]
-    assert ("displacement MAE", "cm") in table(cell).heads
-    raw = cell.rows.loc[cell.rows["estimator"] == "sma", "mae:displacement:m"].mean()
-    assert entry(results, "braking-rate", "paper", "sma", "displacement").sort == pytest.approx(100 * raw)
-    assert entry(results, "braking-rate", "paper", "kalman-known-f", "f ").detail.startswith("not ranked")
-    latency = entry(results, "braking-rate", "paper", "sma", "latency")
-    assert latency.detail == "fits 0.2 s with a factor 3500"
+def test_claims_and_lost_runs_are_said(results: Results) -> None:
+    told = sentences.claims_of(cell_of(results, "ningbo-metro/switching"))
+    assert re.fullmatch(r"Claims: too sure 1 of 4, most ekf-naive \(ANEES 9\.\d+; 1 is right\)\. Too unsure: "
+                        r"ekf-inflated\. robust-ellipsoid left its set in 1 of 24 runs\.", told)
+    table3 = cell_of(results, "cbtc-csma/table3")
+    said = sentences.finding(table3, table3.rankings[0])
+    assert "Lost runs: fastest-decay 24 of 24; ranked after every entry" in said
+    assert "exceeds its certified bound: 1." in sentences.claims_of(cell_of(results, "cbtc-csma/uniform"))
 
 
-def test_outcomes_have_intervals_and_shares_are_counted(results: Results) -> None:
-    cell = results.scenarios["cbtc-csma"][0]
-    values = cell.rows.loc[cell.rows["estimator"] == "kalman", "headway:headway-65:s"].to_numpy()
-    found = entry(results, "cbtc-csma", "uniform", "kalman", "headway-65")
-    mean, half = (float(v) for v in found.text.split(" ± "))
-    assert mean == pytest.approx(values.mean(), abs=0.005)
-    hall = st.hall(values)
-    assert half == pytest.approx(float(hall.high - hall.low) / 2, rel=0.05)
-    shares = entry(results, "cbtc-csma", "uniform", "kalman", "late")
-    assert shares.text == "6 of 24"
-    assert shares.sort == 0.25
-    low, high = st.share(np.arange(RUNS) < 6)[1:3]
-    assert shares.detail == f"{wording.percent(low)} to {wording.percent(high)}"
+def line(ratio: float, low: float = np.nan, high: float = np.nan, **facts: object) -> dict[str, object]:
+    return {"ratio": ratio, "ratio_low": low, "ratio_high": high, "verdict": "worse", **facts}
 
 
-def test_failures_carry_the_line_that_replays_them(results: Results) -> None:
-    uniform, table3 = results.scenarios["cbtc-csma"]
-    assert [f.replay for f in failures(uniform, "out")] == ["railstate replay cbtc-csma/uniform/direct/3 --out out"]
-    assert {f.text for f in failures(table3, "out")} == {"direct: diverged in 1 run",
-                                                         "fastest-decay: infeasible in 24 runs"}
-    assert entry(results, "cbtc-csma", "table3", "fastest-decay", "not finished").text == "24 of 24"
-    low, high = stats.binomtest(1, RUNS).proportion_ci(0.95, method="wilson")
-    assert entry(results, "cbtc-csma", "uniform", "direct", "not finished").detail == \
-        f"1 diverged; {wording.percent(low)} to {wording.percent(high)}"
-
-
-def test_short_verdicts_of_the_terminal(results: Results) -> None:
-    short = sayings.short_verdicts(results.verdicts)
-    assert short["ningbo-metro", "switching", "ekf"] == "best"
-    assert short["ningbo-metro", "switching", "ukf"] == "tie"
-    assert re.fullmatch(r"(4\.\d|3\.9)( to 4\.\d)? times; too sure \(ANEES 9\.\d+\)",
-                        short["ningbo-metro", "switching", "ekf-naive"])
-    assert short["ningbo-metro", "white", "robust-ellipsoid"].endswith("; leaves its set in 1 of 24 runs")
-    assert short["cbtc-csma", "table3", "fastest-decay"] == "infeasible"
-    assert "exceeds its bound (0." in short["cbtc-csma", "uniform", "fastest-decay"]
-    assert short["braking-rate", "paper", "kalman-known-f"] == "oracle"
-
-
-def test_headlines_say_where_the_robust_estimator_wins_and_where_not(results: Results) -> None:
-    lines = sayings.headlines(results.verdicts, "ningbo-metro")
-    assert len(lines) == 2 * 3 * 2
-    line = next(text for text in lines if "robust-mean-square against ekf, position" in text)
-    assert re.search(r"better in 1 of 3 variants \(constant −(19|20|21) % \[−\d+, −\d+\], 100 % of runs\), "
-                     r"worse in 2 \(switching \+\d+ %, white \+\d+ %\)$", line)
-    assert not [text for text in lines if "ukf" in text]
-    duels = contest_table(sayings.robust_contests(results.verdicts, "ningbo-metro"))
-    assert [head for head, _ in duels.heads] == ["better in", "switching", "white", "constant"]
-    assert len(duels.lines) == 12
-    entries = next(line.entries for line in duels.lines
-                   if (line.label, line.note) == ("robust-mean-square", "position, against ekf"))
-    assert [entry.kind for entry in entries] == ["", "bad", "bad", "good"] and entries[0].text == "1 of 3"
-    assert entries[3].text in line and entries[3].detail == "better, wins 100 %"
-
-
-def test_paragraphs_in_plain_words(results: Results) -> None:
-    metro = " ".join(paragraph(results.verdicts, "ningbo-metro"))
-    assert metro.startswith("Variant switching: ekf and ukf tie as best (position 0.")
-    assert "; the least worse, ekf-inflated, has " in metro
-    assert "ekf and ukf are best or tied for position and speed in 2 of 3 variants" in metro
-    assert "Too sure of its own errors: ekf-naive in all 3 variants (ANEES up to 9." in metro
-    assert "leaves it: robust-ellipsoid in all 3 variants (in up to 4.2 % of the runs)" in metro
-    cbtc = " ".join(paragraph(results.verdicts, "cbtc-csma"))
-    assert "Exceeds its certified bound: fastest-decay in 1 of 2 variants (by up to 1.5 times)" in cbtc
-    assert "Has runs that diverged, failed or could not be designed: direct in both variants" in cbtc
-    braking = " ".join(paragraph(results.verdicts, "braking-rate"))
-    assert "kalman-known-f: not ranked" in braking
-    assert "Nobody broke a promise" in braking
-
-
-def line(ratio: float, low: float = np.nan, high: float = np.nan) -> dict[str, float]:
-    return {"ratio": ratio, "ratio_low": low, "ratio_high": high}
-
-
-def test_changes_ranges_and_long_lists() -> None:
-    assert wording.change_range([1.39, 1.41]) == "+39 to +41 %"
-    assert wording.change_range([1.39]) == "+39 %"
-    assert wording.change_range([1.39, 1.41, 3.0]) == "1.4 to 3.0 times"
-    assert wording.change_interval(line(1.15, 1.0004, 1.31)) == "+15 % [0.04, 31]"
+def test_changes_ratios_and_long_lists() -> None:
+    assert wording.change_interval(line(1.15, 1.0004, 1.31)) == "+15 % [+0.04, +31]"
     assert wording.change_interval(line(0.8, 0.7, 0.9)) == "−20 % [−30, −10]"
-    assert wording.change_interval(line(4.0, 3.5, 4.6)) == "4.0 times [3.5, 4.6]"
-    assert wording.change_interval(line(1.0, 1.0, 1.0)) == "±0.0 %"
-    assert [wording.ratio(value) for value in (1.0, 1.0021, 0.9951, 1.29, 12.34, 345.6)] == [
-        "1.00", "1.002", "0.995", "1.29", "12.3", "346"]
-    assert wording.some(["a", "b", "c", "d", "e"]) == "a, b, c and 2 others"
+    assert wording.change_interval(line(2.0, 1.5, 2.6)) == "2.0 times [1.5, 2.6]"
+    assert [wording.ratio(value) for value in (1.0, 1.0021, 1.29, 12.34, 345.6, 9.996)] == [
+        "1.00", "1.00", "1.29", "12.3", "346", "10.0"]
+    assert wording.ratio_of(line(1.0021)) == "1.002"  # called worse: not 1.00
+    assert wording.ratio_interval(line(1.15, 1.002, 1.29)) == "[1.002, 1.29]"
+    assert wording.some(["a", "b", "c", "d", "e"]) == "a, b, c, d, e"
+    assert wording.some(["a", "b", "c", "d", "e", "f"]) == "a, b, c, d and 2 others"
+    assert [wording.deciding({"deciding": runs}) for runs in (38, 12_345, 2e6, np.nan, np.inf)] == [
+        "40 runs", "12,000 runs", "more than 100,000 runs", "", ""]
+    assert wording.split_error(0.12345, 0.0021) == ("0.1235", "0.0021")
+    assert wording.split_error(1.2e-7, 3e-9) == ("1.200·10⁻⁷", "0.030·10⁻⁷")
+    assert [wording.capital(name) for name in ("position", "f", "x1")] == ["Position", "f", "x1"]
 
 
 def test_runs_are_paired_by_their_number_and_only_those_that_all_have_count() -> None:
@@ -199,6 +156,62 @@ def test_numbers_have_few_digits(value: float, text: str) -> None:
     assert wording.number(value) == text
 
 
+# -- terminal ------------------------------------------------------------------------------------------------------
+def printed(results: Results, monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8",
+            columns: int | None = 80) -> str:
+    raw = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(raw, encoding=encoding, write_through=True))
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns:
+        monkeypatch.setenv("COLUMNS", str(columns))
+    print_results(Store(results.folder))
+    return raw.getvalue().decode(encoding)
+
+
+@pytest.mark.parametrize(("columns", "most"), [(80, 80), (100, 100), (140, 120), (None, 120)])
+def test_no_line_is_wider_than_the_output_and_names_stand_with_verdicts(
+        results: Results, monkeypatch: pytest.MonkeyPatch, columns: int | None, most: int) -> None:
+    text = printed(results, monkeypatch, columns=columns)
+    long = [line for line in text.splitlines() if len(line) > most]
+    assert not [line for line in long if str(results.folder) not in line]  # a path is not broken
+    for label in METRO:
+        assert re.search(rf"^{label} +[★=?▲✕] ", text, re.MULTILINE), label
+    assert ("[" in text.split("RMSE position")[1].split("ukf ")[1].splitlines()[0]) == (most >= 100)
+    assert text.count("★ best  = tie, within 1 %") == 1
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
+def test_signs_of_an_output_that_knows_few_letters(results: Results, monkeypatch: pytest.MonkeyPatch,
+                                                   encoding: str) -> None:
+    text = printed(results, monkeypatch, encoding)
+    half = "+-" if encoding == "ascii" else "±"
+    assert re.search(rf"^ekf +\* 0\.0\d+ {re.escape(half)}0\.\d+", text, re.MULTILINE)
+    assert "x 24 of 24 lost" in text
+    assert not re.search(r"\?[a-z0-9]", text.replace("? undecided", ""))
+    assert max(len(line) for line in text.splitlines() if str(results.folder) not in line) <= 80
+
+
+def test_every_sign_has_its_ascii_form_and_only_one_meaning_an_area() -> None:
+    for mark in MARKS.values():
+        for sign in mark.sign:
+            assert sign.isascii() or ASCII[sign].isascii()
+    verdicts = [MARKS[word].sign for word in ("best", "tie", "undecided", "better", "worse", "lost", "oracle")]
+    assert len(set(verdicts)) == len(verdicts)
+
+
+def test_lost_entries_have_no_value_and_the_command_is_there(results: Results, monkeypatch: pytest.MonkeyPatch,
+                                                             capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(results, monkeypatch)
+    assert re.search(r"^fastest-decay +✕ 24 of 24 lost +✕ 24 of 24 lost$", text, re.MULTILINE)
+    assert "railstate replay cbtc-csma/uniform/direct/3" in text
+    assert "936 rows: 910 ok, 24 infeasible, 2 diverged" in text
+    monkeypatch.undo()
+    print_results_json(Store(results.folder))
+    told = json.loads(capsys.readouterr().out)
+    assert told["rows"] == 936 and len(told["verdicts"]) == len(results.verdicts)
+
+
+# -- the page ------------------------------------------------------------------------------------------------------
 class Page(HTMLParser):
     """Collects what a test wants to know of a page."""
 
@@ -210,7 +223,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
-        if tag not in ("meta", "link", "br"):
+        if tag not in ("meta", "link", "br", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -220,34 +233,105 @@ class Page(HTMLParser):
         self.tags.append((tag, dict(attrs)))
 
 
-def test_the_page_is_well_formed_self_contained_and_small(html: str) -> None:
+def test_the_page_is_well_formed_self_contained_and_in_order(html: str) -> None:
     page = Page(html)
     assert page.open == []
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
     for _, attributes in page.tags:
         for name in ("src", "href", "data", "action"):
             assert re.match(r"#|data:|$", attributes.get(name) or ""), attributes
-    assert "http://" not in html.replace("http://www.w3.org", "")
-    assert "https://" not in html
-    assert "url(" not in html
+        if (attributes.get("href") or "").startswith("#"):
+            assert attributes["href"][1:] in ids, attributes  # type: ignore[index]
+    assert "http://" not in html.replace("http://www.w3.org", "") and "https://" not in html and "url(" not in html
+    levels = [int(tag[1]) for tag, _ in page.tags if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1 and levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
     assert len(html) < 1e6
+    assert html.index('id="matrix"') < html.index('id="ningbo-metro"') < html.index('id="provenance"')
 
 
 def test_the_page_tells_what_was_run_and_how_to_run_it_again(html: str, results: Results) -> None:
     environment = results.manifest["environment"]
-    numpy = environment["packages"]["numpy"]
-    for text in ("railstate run --runs 24 --seed 5", environment["processor"], f"numpy {numpy}",
-                 "936: 910 ok, 24 infeasible, 2 diverged", "6 scenario variants, 24 runs each, seed 5"):
-        assert text in html
+    for text in ("railstate run --runs 24 --seed 5", environment["processor"], "6 settings, 23 entries, 24 runs each, "
+                 "seed 5, 936 rows: 910 ok, 24 infeasible, 2 diverged", f"numpy {environment['packages']['numpy']}",
+                 "Note on switching &amp; &lt;its&gt; numbers.", "&lt;no certificate&gt;",
+                 "railstate replay cbtc-csma/uniform/direct/3 --out"):
+        assert text in html, text
     for label in {*METRO, *CBTC, *BRAKING}:
         assert f">{label}" in html
-    assert "Note on switching &amp; &lt;its&gt; numbers." in html
-    assert "&lt;no certificate&gt;" in html
-    assert "railstate replay cbtc-csma/uniform/direct/3 --out" in html
+
+
+def test_the_matrix_says_the_verdict_of_the_entry_that_stands_for_a_family(results: Results) -> None:
+    cells = [cell.cell for found in results.scenarios.values() for cell in found]
+    made = matrix(cells)
+    assert made.families == ["Other"]  # these rows' plug-ins tell no family
+    for row, cell in zip(made.rows, cells, strict=True):
+        best = cell.rankings[0].best
+        shown = row.cells["Other"][0]
+        assert best and shown and (shown.text, shown.entry, shown.css) in (
+            ("★ 1", best["estimator"], "best"), ("★ 1 ✕", best["estimator"], "best"))
+        assert row.id == anchor(cell.scenario, cell.variant)
+    assert made.tallies["Other"][0] == ("★= 6", [("best", 100.0)])
+    against = made.rows[0].cells["Other"][2]  # against the yardstick, the first quantity: the best is the yardstick
+    assert against and against.text == "◇ 1"
+    lost = next(row for row in made.rows if row.variant == "table3").cells["Other"][0]
+    assert lost and lost.text.endswith("✕")  # another entry of the family lost runs
+
+
+def test_a_family_is_spoken_for_by_its_tuned_entry(results: Results) -> None:
+    cell = replace(cell_of(results, "ningbo-metro/switching"),
+                   origin={"estimators.ekf-inflated": "tuned: railstate tune .."})
+    shown = matrix([cell]).rows[0].cells["Other"][0]
+    assert shown and shown.entry == "ekf-inflated" and re.fullmatch(r"▲ 1\.1\d", shown.text)
+
+
+def test_errors_claims_outcomes_and_lost_runs_of_a_table(results: Results) -> None:
+    metro, uniform = cell_of(results, "ningbo-metro/switching"), cell_of(results, "cbtc-csma/uniform")
+    by_label = {item["estimator"]: item for item in metro.of("error", "rmse", "position")}
+    assert entry(metro, "ekf", "position value").html == wording.plus_minus(by_label["ekf"])
+    assert [float(v) for v in entry(metro, "ukf", "position ratio").data.split("|")] == pytest.approx(
+        [by_label["ukf"][name] for name in ("ratio", "ratio_low", "ratio_high")], rel=1e-5)
+    assert "▲ worse" in str(entry(metro, "ekf-naive", "position verdict").html)
+    assert 'class="c w3"' in str(entry(metro, "ekf-naive", "position verdict").html)
+    assert "✗ too sure 9." in str(entry(metro, "ekf-naive", "claim").html)
+    assert "✗ set broken" in str(entry(metro, "robust-ellipsoid", "claim").html)
+    assert "✗ bound broken" in str(entry(uniform, "fastest-decay", "claim").html)
+    assert entry(uniform, "kalman", "late violations").html == "6 of 24"
+    assert entry(uniform, "direct", "lost").html == "1"
+    assert "of 23" in str(entry(uniform, "direct", "position value").html)
+    braking = cell_of(results, "braking-rate/paper")
+    assert "○ oracle" in str(entry(braking, "kalman-known-f", "f verdict").html)
+    assert braking.labels[-1] == "kalman-known-f"
+    folder = results.scenarios["cbtc-csma"]
+    assert [replay for _, _, replay in failures(folder[0], "out")] == [
+        "railstate replay cbtc-csma/uniform/direct/3 --out out"]
+    assert {what for what, _, _ in failures(folder[1], "out")} == {"direct: diverged in 1 run",
+                                                                   "fastest-decay: infeasible in 24 runs"}
+
+
+def test_faults_by_filters_where_a_folder_has_them(results: Results) -> None:
+    cells = results.scenarios["ningbo-metro"]
+    assert fault_table(cells) is None
+    made = fault_table([replace(cells[0], table={"faults": [{"kind": "outliers"}, {"kind": "stuck"}]}), cells[1]])
+    assert made and [entries[0].html for _, entries in made.lines] == ["outliers, stuck", "none"]
+    assert "★ 1" in str(made.lines[0][1][1 + cells[0].cell.labels.index("ekf")].html)
+
+
+def test_published_numbers_stand_with_their_notes_once() -> None:
+    frame = pd.DataFrame({"paper": "p", "item": "Table 1", "cell": ["a", "b", "c"], "published": [1.0, 2.0, 3.0],
+                          "ours": [1.01, np.nan, 2.0], "standard_error": [0.01, np.nan, 0.1], "unit": "m",
+                          "verdict": ["fitted", "unreachable", "not reproduced"], "expected": "",
+                          "note": ["n", "n", ""]})
+    (counts,), ((_, made),) = published_tables(frame)
+    assert counts == ("p", [("fitted", 1), ("not reproduced", 1), ("unreachable", 1)])
+    assert made.notes == ["1: n"]
+    assert made.lines[0][1][1].html == "1.010 ± 0.020"
 
 
 def test_the_command_writes_the_page_again_from_the_folder_alone(results: Results, html: str,
                                                                  capsys: pytest.CaptureFixture[str]) -> None:
-    report(str(results.folder))
+    report(str(results.folder), published="")
     assert "report.html (0." in capsys.readouterr().out
     assert (results.folder / "report.html").read_text(encoding="utf-8") == html
 
@@ -261,7 +345,6 @@ def test_what_is_no_results_folder_is_an_input_error(tmp_path: Path) -> None:
         report(str(folder))
     (folder / "timing.csv").unlink()
     report(str(folder))
-    assert "kept no trajectories" in (folder / "report.html").read_text(encoding="utf-8")
     for part in (folder / "rows").iterdir():
         part.unlink()
     with pytest.raises(InputError, match="no finished rows"):

@@ -12,7 +12,8 @@ from pydantic import TypeAdapter
 from railstate.benchmarks.judging.selection import Aligned
 from railstate.benchmarks.judging.table import Cell, framed
 from railstate.benchmarks.scoring.requirements import RequirementScores
-from railstate.benchmarks.telling.tables import requirement_tables
+from railstate.benchmarks.telling import rankings
+from railstate.benchmarks.telling.sentences import requirements_of
 from railstate.estimators.interface import Estimate
 from railstate.scenarios.arrays import Array
 from railstate.scenarios.requirements import Requirement, check
@@ -213,5 +214,6 @@ def test_requirements_are_judged_with_their_sizes_beside() -> None:
     rows.loc[lost, "status"] = "diverged"
     again = verdicts(rows)
     assert again["good"]["verdict"] == "not met" and again["good"]["value"] == pytest.approx(0.7)
-    (title, table), = requirement_tables(framed(list(found.values())))
-    assert title == "s/v: requirements" and table["verdict"][0] == "met" and table["asked"][0] == "95.0 % of runs"
+    told = rankings.Cell("s", "v", tuple(rankings.records(framed(list(found.values())))), about, {}, {}, {}, {})
+    assert requirements_of(told) == ["Requirement near, in 95.0 % of the runs: met by good; not met by bad; undecided "
+                                     "by open."]

@@ -167,7 +167,7 @@ def test_what_an_estimator_raises_costs_only_its_run(railstate: Command) -> None
     for run in (0, 7):
         mine, theirs = (frame.loc[("calm", label, run), "rmse:position:m"] for label in ("raises", "half"))
         assert mine == pytest.approx(theirs, rel=1e-7)  # their own streams differ by 1e-9 m
-    assert "replay: railstate replay cart/calm/raises/3 --out out" in done.out
+    assert "railstate replay cart/calm/raises/3 --out out" in done.out
     replayed = railstate("replay", "cart/calm/raises/3", "--out", "out", "--plugin", "half.py")
     assert replayed.code == 0 and "run 3 is not for me" in replayed.out and "Traceback" in replayed.out
     fine = railstate("replay", "cart/rough/half/6", "--out", "out", "--plugin", "half.py")

@@ -48,6 +48,7 @@ class _Path:
     fill: str | None
     opacity: float
     title: str
+    dots: bool = False
 
 
 @dataclass
@@ -77,6 +78,12 @@ class Canvas:
         array = np.asarray(points, dtype=np.float64)
         if len(array):
             self.items.append(_Path(array, stroke, width, dash, fill, opacity, title))
+
+    def dots(self, points: ArrayLike, colour: str, size: float) -> None:
+        """Round dots of a diameter at points (n, 2), as one item."""
+        array = np.asarray(points, dtype=np.float64)
+        if len(array):
+            self.items.append(_Path(array, colour, size, (), None, 1.0, "", dots=True))
 
     def text(self, x: float, y: float, text: str, *, size: float = FONT, anchor: Anchor = "start",
              colour: str = "ink", bold: bool = False, turned: bool = False) -> None:
@@ -110,6 +117,10 @@ class Canvas:
 
 def _svg_path(item: _Path, colours: dict[str, str]) -> str:
     tenths = np.rint(item.points * 10).astype(np.int64)
+    if item.dots:
+        moves = "".join(f"M{x} {y}h0" for x, y in np.unique(tenths, axis=0).tolist())
+        return (f'<path d="{moves}" stroke="{colours[item.stroke or "ink"]}" stroke-width="{item.width * 10:g}" '
+                'stroke-linecap="round"/>')
     if len(tenths) > 2 and item.fill is None:
         keep = np.concatenate([[True], (np.diff(tenths, axis=0) != 0).any(axis=1)])
         tenths = tenths[keep]
@@ -161,6 +172,10 @@ def _save_with_matplotlib(canvas: Canvas, path: Path) -> None:
                           rotation_mode="anchor", fontweight="bold" if item.bold else "normal", zorder=order)
                 continue
             dash = (0, tuple(part / item.width for part in item.dash)) if item.dash else "solid"
+            if item.dots:
+                axes.plot(item.points[:, 0], item.points[:, 1], ".", color=LIGHT[item.stroke or "ink"],
+                          markersize=item.width, markeredgewidth=0, zorder=order)
+                continue
             if item.fill:
                 axes.add_patch(Polygon(item.points, closed=True, facecolor=LIGHT[item.fill], edgecolor="none",
                                        alpha=item.opacity, zorder=order))

@@ -118,7 +118,7 @@ def drawn(results: Results, name: str | None = None) -> Iterator[tuple[Figure, s
 
 def of_scenario(figure: Figure, cells: Sequence[CellResults]) -> Iterator[tuple[str, Canvas]]:
     """(variant, canvas) of one figure in a scenario; variant "" for a figure of the whole scenario."""
-    if figure.kinds and cells[0].kind not in figure.kinds:
+    if figure.kinds and cells[0].about["kind"] not in figure.kinds:
         return
     if figure.draw_all:
         canvas = figure.draw_all(cells)

@@ -17,11 +17,12 @@ import pandas as pd
 from ....scenarios.arrays import Array
 from ....scenarios.registry import setting_of
 from ....scenarios.setting import Setting
-from ...judging.selection import Aligned, Column, apart
+from ...judging.selection import Aligned, Column
 from ...judging.table import verdicts_of
 from ...scoring.columns import shown_unit
 from ...store.folder import Store
-from ..sayings import Line, records
+from ..marks import Line
+from ..rankings import Cell, cells_of
 from .axes import DASHES, MARKERS, Style
 from .canvas import COLOURS
 
@@ -49,27 +50,35 @@ class Kept:
 
 @dataclass(frozen=True)
 class CellResults:
-    """One variant of one scenario. curves: by (estimator, quantity). kept: by (estimator, name) of the first kept run,
-    estimator "" for the truth's own. kind: the plant's. about: the scenario's part of the manifest. verdicts: its
-    part of the verdict table."""
+    """One variant of one scenario. cell: its part of the verdict table. table: the scenario's. curves: by (estimator,
+    quantity). kept: by (estimator, name) of the first kept run, estimator "" for the truth's own."""
 
-    scenario: str
-    variant: str
-    kind: str
-    about: Mapping[str, Any]
+    cell: Cell
     table: Mapping[str, Any]
-    runs: int
     rows: pd.DataFrame
-    verdicts: pd.DataFrame
     curves: Mapping[tuple[str, str], Curve]
     kept: Mapping[tuple[str, str], Kept]
-    timing: Mapping[str, Mapping[str, float]]
     styles: Mapping[str, Style]
-    oracles: frozenset[str]
+
+    @property
+    def scenario(self) -> str:
+        return self.cell.scenario
+
+    @property
+    def variant(self) -> str:
+        return self.cell.variant
 
     @property
     def key(self) -> str:
-        return f"{self.scenario}/{self.variant}"
+        return self.cell.key
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        return self.cell.about
+
+    @property
+    def timing(self) -> Mapping[str, Mapping[str, float]]:
+        return self.cell.timing
 
     @property
     def labels(self) -> list[str]:
@@ -90,14 +99,9 @@ class CellResults:
         found = dict.fromkeys((line["metric"], line["quantity"], line["unit"]) for line in self.lines("error"))
         return [(":".join(names), *names) for names in found]
 
-    @cached_property
-    def _lines(self) -> dict[str, list[dict[str, Any]]]:
-        return {str(kind): records(part) for kind, part in self.verdicts.groupby("kind", sort=False)}
-
-    def lines(self, kind: str, metric: str = "", quantity: str = "") -> list[dict[str, Any]]:
+    def lines(self, kind: str, metric: str = "", quantity: str = "") -> list[Line]:
         """Lines of the verdict table of a kind, a metric, a quantity (empty: any)."""
-        return [line for line in self._lines.get(kind, []) if line["metric"] == (metric or line["metric"])
-                and line["quantity"] == (quantity or line["quantity"])]
+        return self.cell.of(kind, metric, quantity)
 
     def line(self, kind: str, metric: str, quantity: str, label: str) -> Line | None:
         """One estimator's line of the verdict table, or None."""
@@ -142,22 +146,16 @@ def load_results(folder: str | Path) -> Results:
     """Read a results folder. Raises InputError where it is none, is damaged or holds no rows."""
     store = Store(folder)
     manifest, rows = store.manifest(), store.rows()
-    curves = _curves(store.curves())
-    kept = _kept(store.trajectories())
-    verdicts = verdicts_of(store)
-    parts = dict(tuple(verdicts.groupby(["scenario", "variant"], sort=False)))
-    timing = _timing(store.timing())
+    curves, kept, verdicts = _curves(store.curves()), _kept(store.trajectories()), verdicts_of(store)
     styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
+    parts = {(str(a), str(b)): part for (a, b), part in rows.groupby(["scenario", "variant"], sort=False)}
     scenarios: dict[str, list[CellResults]] = {}
-    for (scenario, variant), part in rows.groupby(["scenario", "variant"], sort=False):
-        key = (str(scenario), str(variant))
-        about = manifest["scenarios"][key[0]]
-        table = manifest["replay"]["cells"]["/".join(key)]["table"]
-        scenarios.setdefault(key[0], []).append(CellResults(
-            *key, about["kind"], about, table, int(manifest["configuration"]["runs"]),
-            part.dropna(axis=1, how="all").reset_index(drop=True), parts[scenario, variant], curves.get(key, {}),
-            kept.get(key, {}), timing.get(key, {}), styles,
-            frozenset(label for label, why in apart(manifest, *key).items() if why == "oracle")))
+    for cell in cells_of(verdicts, manifest, store.timing()):
+        key = cell.scenario, cell.variant
+        scenarios.setdefault(cell.scenario, []).append(CellResults(
+            cell, manifest["replay"]["cells"][cell.key]["table"],
+            parts[key].dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
+            styles))
     return Results(store.folder, manifest, rows, verdicts, scenarios, styles)
 
 
@@ -207,12 +205,4 @@ def _split(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> dict[
     for begin, end in itertools.pairwise(edges):
         names = [str(known[code]) for (_, known), code in zip(coded, codes[:, begin], strict=True)]
         out.setdefault((names[0], names[1]), {})[names[2], names[3]] = [column[begin:end] for column in values]
-    return out
-
-
-def _timing(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
-    out: dict[tuple[str, str], dict[str, dict[str, float]]] = {}
-    for line in [] if frame is None else frame.to_dict("records"):
-        scenario, variant, label = (str(line.pop(name)) for name in ("scenario", "variant", "estimator"))
-        out.setdefault((scenario, variant), {})[label] = {str(name): float(value) for name, value in line.items()}
     return out

@@ -11,7 +11,7 @@ from .canvas import WIDTH, Canvas
 from .data import CellResults
 from .errors import LEFT, MOST, RIGHT
 
-POINTS = 260
+POINTS = 150
 CROWDED_OUT = 12.0
 """Errors this many times those of the best estimator leave the panel, which would show nothing else."""
 
@@ -48,7 +48,7 @@ def example_run(cell: CellResults) -> Canvas | None:
         off = [label for label, size in largest.items() if size > most]
         y = spanning(*(error for label, (_, error) in errors.items() if label not in off), log=False)
         panel = Panel(canvas, LEFT, top + above + gap, WIDTH - LEFT - RIGHT, below, x, y, x_ticks=name == names[-1],
-                      title=bracket(f"{name}, estimate − truth", unit) + (f"; off: {some(off, 2)}" if off else ""),
+                      title=bracket(f"{name}, estimate − truth", unit) + (f"; off: {some(off)}" if off else ""),
                       x_label="time [s]" if name == names[-1] else "")
         for label, (time, error) in errors.items():
             use = thinned(len(time))

@@ -113,8 +113,8 @@ def claim_against_error(cell: CellResults) -> Canvas | None:
     panel.band(ends, np.full(2, scale.low), ends, "muted", 0.25)
     panel.line(ends, ends, Style("ink"), width=0.8, title="claim = error")
     for label, (error, claim) in pairs.items():
-        for x, y in zip(error, claim, strict=True):
-            if np.isfinite(x + y):
-                panel.mark(max(x, scale.low), max(y, scale.low), cell.styles[label], size=0.9)
+        use = np.isfinite(error + claim)
+        canvas.dots(panel.points(np.maximum(error[use], scale.low), np.maximum(claim[use], scale.low)),
+                    cell.styles[label].colour, 1.8)
     legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in pairs], markers=True)
     return canvas
