@@ -11,6 +11,9 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+TAGS = ("kind", "form", "motion")
+"""Keys that say which of several tables one is."""
+
 
 class InputError(Exception):
     """Bad input: the message names the file, the field and what is allowed. The command line exits with 2."""
@@ -48,7 +51,7 @@ def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
     """The keys of an error's place, without what pydantic adds for one of several allowed types or kinds of table."""
     for part in loc:
         if isinstance(table, dict):
-            if part in (table.get("kind"), table.get("form")) and part not in table:
+            if part in [table.get(key) for key in TAGS] and part not in table:
                 continue
             table = table.get(part)
         elif isinstance(table, list) and isinstance(part, int) and isinstance(table[part], dict):
@@ -68,7 +71,7 @@ def _allowed(model: type[BaseModel], loc: tuple[int | str, ...]) -> str:
         fields = [table.model_fields[str(part)] for table in tables if part in table.model_fields]
         inside = [inner for field in fields for inner in _models(field.annotation)]
         chosen = [table for table in tables if part in (
-            table.__name__, *(kind for key in ("kind", "form") for kind in _kinds(table.model_fields.get(key))))]
+            table.__name__, *(kind for key in TAGS for kind in _kinds(table.model_fields.get(key))))]
         tables = inside or chosen or tables
     return ", ".join(dict.fromkeys(field.alias or key for table in tables
                                    for key, field in table.model_fields.items())) or "none"

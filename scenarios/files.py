@@ -205,7 +205,10 @@ def _file_given(setting: Setting[Any]) -> bool:
 
 def _strays(variants: Collection[dict[str, Any]], where: str, touched: Collection[str]) -> list[str]:
     """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden."""
-    configs = [setting_for(table["plant"]["kind"], where).Config.model_validate(table) for table in variants]
+    try:
+        configs = [setting_for(table["plant"]["kind"], where).Config.model_validate(table) for table in variants]
+    except ValidationError:  # of a variant that nobody asked for
+        return []
     paths = {(key, path): None for config in configs for key in ("origin", "fitted") for path in getattr(config, key)}
     return [f"{key}.{path}: names no key of this scenario" for key, path in paths
             if path.partition(".")[0] not in touched and not any(_names_a_key(path, config) for config in configs)]

@@ -131,7 +131,16 @@ class Setting(ABC, Generic[ConfigT]):
     def resolve_knowledge(self, knowledge: Mapping[str, Any]) -> Any:
         """The scenario's [knowledge] with an estimator's overrides, validated. Raises pydantic's ValidationError."""
         base = self.config.knowledge
-        return type(base).model_validate({**base.model_dump(exclude_unset=True), **knowledge})
+        told = base.model_dump(exclude_unset=True)
+        for key, value in knowledge.items():  # a table within it changes what it names
+            within = isinstance(value, Mapping) and isinstance(told.get(key), dict) and "kind" not in value
+            told[key] = {**told[key], **value} if within else value
+        return type(base).model_validate(told)
+
+    def split(self, training: bool) -> dict[str, Any]:
+        """Overrides of the scenario with which an estimator is tuned (training), or shown; none where runs of another
+        seed are other ones anyway."""
+        return {}
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Numbers per run beyond errors (gap, lap, headway): {(metric, quantity, unit): (S,)}.

@@ -132,7 +132,7 @@ class Trajectory:
     initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form.
     windows: names of parts of the trip whose errors are reported on their own; window (K, S): which part a step is in,
     -1 for none. covariance (K, ny, ny, S or 1): what the sensors tell of each measurement, NaN where they do not.
-    late, faulty (K, ny, S): as in `Event`. Raises InputError without lengths."""
+    late, faulty (K, ny, S): as in `Event`; reference (K, 2, S): as in `Step`. Raises InputError without lengths."""
 
     truth: Array
     u: Array
@@ -148,6 +148,7 @@ class Trajectory:
     covariance: Array | None = None
     late: Index | None = None
     faulty: Mask | None = None
+    reference: Array | None = None
     portions: InitVar[object] = None
 
     def __post_init__(self, portions: object) -> None:
@@ -170,5 +171,5 @@ class Trajectory:
         event = Event(1.0 if lengths[k] else 0.0, self.y[k], self.received[k], covariance,
                       None if self.late is None else self.late[k], None if self.faulty is None else self.faulty[k])
         window = None if self.window is None else self.window[k]
-        return Step(self.u[k], (event,), self.truth[k], self.active[k], None, window,
-                    k + (lengths[0] > 0), starts[k], lengths[k])
+        return Step(self.u[k], (event,), self.truth[k], self.active[k], None, window, k + (lengths[0] > 0), starts[k],
+                    lengths[k], None if self.reference is None else self.reference[k])

@@ -15,6 +15,9 @@ import pyproj
 STOPS, TOP, PULL = (0.0, 700.0, 1500.0), 14.0, 0.9
 SCALE, STEP = 0.969, 5.0
 ORIGIN = 50.85, 4.40
+METRO = {"time": "t_s", "wheel-a": "wheel_a_m", "wheel-b": "wheel_b_m", "acceleration": "acc_mps2", "balise": "balise",
+         "reference_position": "s_ref_m", "reference_speed": "v_ref_mps"}
+BALISES = 20.0, 350.0, 690.0, 1080.0, 1400.0
 
 
 def ride(period: float = 1.0, dwell: float = 20.0) -> pd.DataFrame:
@@ -46,6 +49,29 @@ def tram(seed: int = 1, period: float = 1.0) -> pd.DataFrame:
         "odo_m": STEP * np.floor(SCALE * true.s_m / STEP) + 3760,
         "acc_mps2": (true.a_mps2 + rng.normal(0, .05, n)).round(2),
         "s_ref_m": true.s_m.round(2), "v_ref_mps": true.v_mps.round(3)})
+
+
+def metro(seed: int = 1, period: float = 0.5) -> pd.DataFrame:
+    """The ride as a train's own odometry logs it: two wheels' counters in steps of 2.7 cm, .6 % long and .4 % short,
+    that slip in the second start and slide before the last stop; an accelerometer with a bias; balises by name, each
+    in a row of its own; a reference."""
+    rng, fine = np.random.default_rng(seed), ride(0.05)
+    s, v, t = fine.s_m.to_numpy(), fine.v_mps.to_numpy(), fine.t_s.to_numpy()
+    starting, stopping = (s > STOPS[1] + 5) & (s < STOPS[1] + 70), (s > STOPS[2] - 75) & (s < STOPS[2] - 8)
+    counts = {}
+    for name, scale, slips in (("wheel_a_m", 1.006, starting | stopping), ("wheel_b_m", 0.996, stopping)):
+        turned = np.where(slips, v * np.where(starting, 1.5, 0.5), v) * scale
+        counts[name] = 0.027 * np.floor(np.concatenate([[0.0], np.cumsum(0.05 * turned[1:])]) / 0.027)
+    every = round(period / 0.05)
+    out = pd.DataFrame({"t_s": t, **counts, "acc_mps2": fine.a_mps2 + 0.04})[::every].reset_index(drop=True)
+    n = len(out)
+    out = out.assign(
+        wheel_a_m=out.wheel_a_m.round(3), wheel_b_m=out.wheel_b_m.round(3),
+        acc_mps2=(out.acc_mps2 + rng.normal(0, 0.03, n)).round(3),
+        s_ref_m=(s[::every] + rng.normal(0, 0.05, n)).round(2), v_ref_mps=v[::every].round(3))
+    passed = np.interp(BALISES, s + 1e-9 * t, t).round(2)
+    events = pd.DataFrame({"t_s": passed, "balise": [f"B{number + 1}" for number in range(len(BALISES))]})
+    return pd.concat([out, events[~events.t_s.isin(out.t_s)]]).sort_values("t_s").reset_index(drop=True)
 
 
 def track() -> np.ndarray:
@@ -87,7 +113,12 @@ def geojson(lines: list[np.ndarray]) -> str:
 
 
 def write_examples(folder: Path) -> None:
-    """tram.csv (commas); fixes.csv (semicolons, decimal commas) with its line track.geojson."""
+    """tram.csv (commas); fixes.csv (semicolons, decimal commas) with its line track.geojson; metro.csv with the places
+    of its balises."""
+    metro().to_csv(folder / "metro.csv", index=False, lineterminator="\n")
+    names = [f"B{number + 1}" for number in range(len(BALISES))]
+    pd.DataFrame({"balise": names, "position_m": BALISES}).to_csv(folder / "balises.csv", index=False,
+                                                                  lineterminator="\n")
     tram().to_csv(folder / "tram.csv", index=False, lineterminator="\n")
     fixes().to_csv(folder / "fixes.csv", index=False, sep=";", decimal=",", lineterminator="\n")
     (folder / "track.geojson").write_text(geojson([track()]), encoding="utf-8")

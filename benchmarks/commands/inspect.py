@@ -5,6 +5,7 @@ The same checks run before a run; here all that they find is printed."""
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,10 +14,12 @@ import typer
 from pydantic import ValidationError
 
 from ...scenarios.errors import InputError, describe
+from ...scenarios.files import load
 from ...scenarios.recorded.config import Plant
 from ...scenarios.recorded.findings import Finding
 from ...scenarios.recorded.inspecting import Mapping, described, suggested
 from ...scenarios.recorded.recording import Recording, read_recording, table_at
+from ...scenarios.registry import scenario_files
 from ..telling.console import print_table
 from . import options as use
 
@@ -27,17 +30,20 @@ def inspect(
     quality: use.Quality = "",
     missing: use.Missing = "",
     track: use.Track = "",
+    balises: use.Balises = "",
     from_: use.From = None,
     to: use.To = None,
     without: use.Without = [],  # noqa: B006
     set_: use.Sets = [],  # noqa: B006
+    out: Annotated[str, typer.Option(metavar="FILE.toml", help="Write the scenario with this recording in it: to run, "
+                                                               "sweep and tune.")] = "",
 ) -> None:
     """Say what is in a recorded trip, map it, and check it as a run would."""
-    given = use.meaning(map_, quality, missing, track, from_, to, without)
+    given = use.meaning(map_, quality, missing, track, balises, from_, to, without)
     given = {key.removeprefix("plant."): value for key, value in {**given, **use.overrides(set_)}.items()}
     try:
         table = table_at(file)
-        found = suggested(table)
+        found = suggested(table, "balises" in given)
     except ValueError as error:
         raise InputError(str(error)) from None
     if "map" in given:
@@ -60,6 +66,8 @@ def inspect(
     for text in wrong:
         print(f"- {text}")
     print(f"\n{_command(file, given)}")
+    if out and not wrong:
+        _write(out, file, given, found)
     if wrong:
         raise typer.Exit(1)
 
@@ -110,16 +118,41 @@ def _toml(given: dict[str, Any], found: Mapping) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _scenario(given: dict[str, Any]) -> str:
+    """The built-in scenario for what is mapped."""
+    return "recorded-odometry" if {"wheel-a", "wheel-b"} & set(given["map"]) else "recorded"
+
+
+def _write(out: str, file: str, given: dict[str, Any], found: Mapping) -> None:
+    """The built-in scenario as a file of its own, with this recording, without variants that do not fit it. Raises
+    InputError."""
+    given = {"recording": str(Path(file).resolve()), **given}
+    unfit = load(_scenario(given), {f"plant.{key}": value for key, value in given.items()}).unfit
+    text = scenario_files()[_scenario(given)].read_text(encoding="utf-8")
+    plant = _toml({"kind": "recorded", **given}, found)
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", Path(out).stem)
+    for variant in unfit:
+        text = re.sub(rf"(?ms)^\[variants\.{re.escape(variant)}\]\n.*?(?=^\[)", "", text)
+    text = re.sub(r'(?m)^name = .*$', f"name = {json.dumps(name)}", text, count=1)
+    text = re.sub(r'(?m)^\[plant\]\nkind = .*$', lambda _: plant.rstrip(), text, count=1)
+    try:
+        Path(out).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
+    print(f"railstate run {out}" + "".join(f"\n{variant}: left out: {why[0]}" for variant, why in unfit.items()))
+
+
 def _command(file: str, given: dict[str, Any]) -> str:
     """The command that runs the recorded scenario on it."""
-    words = ["railstate", "run", "recorded", "--recording", file, "--map",
+    words = ["railstate", "run", _scenario(given), "--recording", file, "--map",
              ",".join(f"{role}={text}" for role, text in given["map"].items())]
     if given.get("quality"):
         words += ["--quality", ",".join(f"{name}={sd}" for name, sd in given["quality"].items())]
     if given.get("missing"):
         words += ["--missing", ",".join(str(value) for value in given["missing"])]
-    if given.get("track"):
-        words += ["--track", str(Path(given["track"]))]
+    for key in ("track", "balises"):
+        if isinstance(given.get(key), str):
+            words += [f"--{key}", given[key]]
     if given.get("span"):
         words += ["--from", f"{given['span'][0]:g}", "--to", f"{given['span'][1]:g}"]
     for begin, end in given.get("without", []):

@@ -45,7 +45,8 @@ def scenario(name: Name, folder: Under = Path()) -> None:
 
 @app.command()
 def recording(folder: Under = Path()) -> None:
-    """Recordings of the suite's own making: a tram's trip, and a receiver's fixes with the line they run along."""
+    """Recordings of the suite's own making: a tram's trip, a receiver's fixes with the line they run along, a train's
+    odometry with its balises."""
     if not folder.is_dir():
         raise InputError(f"--in {folder}: no such folder")
     examples = sorted((item for item in (files("railstate.scenarios.recorded") / "examples").iterdir()),
@@ -57,7 +58,8 @@ def recording(folder: Under = Path()) -> None:
         (folder / item.name).write_bytes(item.read_bytes())
     print(f"{', '.join(str(folder / item.name) for item in examples)}: written; now\n"
           f"  railstate inspect {folder / 'tram.csv'}\n"
-          f"  railstate inspect {folder / 'fixes.csv'} --track {folder / 'track.geojson'}")
+          f"  railstate inspect {folder / 'fixes.csv'} --track {folder / 'track.geojson'}\n"
+          f"  railstate inspect {folder / 'metro.csv'} --balises {folder / 'balises.csv'}")
 
 
 def _write(kind: str, layout: dict[str, str], name: str, taken: set[str], under: Path) -> Path:

@@ -28,6 +28,8 @@ Quality = Annotated[str, typer.Option("--quality", metavar="CLASS=SD,..",
 Missing = Annotated[str, typer.Option("--missing", metavar="VALUE,..", help="Values that stand for none, as -9999.")]
 Track = Annotated[str, typer.Option("--track", metavar="FILE", help="GeoJSON line that latitude and longitude run "
                                                                     "along; none: the recording's own path.")]
+Balises = Annotated[str, typer.Option("--balises", metavar="FILE", help="Table of balises, a name and a "
+                                                                       "position, for a recording that names them.")]
 From = Annotated[float | None, typer.Option("--from", help="Leave out what is before, s after the first row.")]
 To = Annotated[float | None, typer.Option("--to", help="Leave out what is after, s after the first row.")]
 Without = Annotated[list[str], typer.Option("--without", metavar="FROM..TO",
@@ -76,8 +78,8 @@ def overrides(pairs: list[str], flag: str = "--set", example: str = "channel.p=0
     return out
 
 
-def meaning(columns: str, quality: str, missing: str, track: str, begin: float | None, end: float | None,
-            without: list[str]) -> dict[str, Any]:
+def meaning(columns: str, quality: str, missing: str, track: str, balises: str, begin: float | None,
+            end: float | None, without: list[str]) -> dict[str, Any]:
     """The flags that say what a recording means as overrides of the scenario. Raises InputError."""
     changes: dict[str, Any] = {}
     if columns:
@@ -87,8 +89,9 @@ def meaning(columns: str, quality: str, missing: str, track: str, begin: float |
         changes["plant.quality"] = {name: value(text) for name, text in pairs.items()}
     if missing:
         changes["plant.missing"] = [value(text) for text in names_in(missing)]
-    if track:
-        changes["plant.track"] = existing("--track", track)
+    for key, path in (("track", track), ("balises", balises)):
+        if path:
+            changes[f"plant.{key}"] = existing(f"--{key}", path)
     if begin is not None or end is not None:
         changes["plant.span"] = [begin or 0.0, 1e12 if end is None else end]
     if without:

@@ -18,6 +18,7 @@ from ..studies.complete import complete, default_folder
 from ..telling.console import hush
 from ..telling.results import print_results, print_results_json
 from .options import (
+    Balises,
     Estimators,
     From,
     Jobs,
@@ -64,6 +65,7 @@ def run(
     quality: Quality = "",
     missing: Missing = "",
     track: Track = "",
+    balises: Balises = "",
     from_: From = None,
     to: To = None,
     without: Without = [],  # noqa: B006
@@ -80,7 +82,7 @@ def run(
     """Run estimators on scenarios and print the tables."""
     files = {f"plant.{name}": existing(f"--{name}", path) for name, path in (("line", line), ("train", train)) if path}
     changes = {**overrides(set_), **files, **trips(recording),
-               **meaning(map_, quality, missing, track, from_, to, without)}
+               **meaning(map_, quality, missing, track, balises, from_, to, without)}
     if batch < 0 or jobs < 0:
         raise InputError("--batch and --jobs: must be 0 (chosen) or more")
     if not timeout > 0:

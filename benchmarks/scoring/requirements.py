@@ -57,7 +57,9 @@ class RequirementScores:
             else:
                 value = vector[i]
             self.error[k, q], self.truth[k, q] = w * (value - step.truth[i]), w * step.truth[i]
-            self.counts[k, q] = step.active if step.scored is None else step.active & step.scored[i]
+            self.counts[k, q] = step.active & ~np.isnan(step.truth[i])  # NaN: unknown, as on a recording
+            if step.scored is not None:
+                self.counts[k, q] &= step.scored[i]
             matrix = estimate.covariance if estimate.covariance is not None else estimate.ellipsoid
             if matrix is not None and i < len(matrix):
                 self.claim[k, q] = abs(w) * np.sqrt(np.maximum(matrix[i, i], 0.0))

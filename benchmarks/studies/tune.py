@@ -77,7 +77,8 @@ class Task:
         """The entry on the training runs or the table's. Raises InputError for what the scenario does not score."""
         plan = make_plan([f"{self.name}/{self.variant}"], only=[self.label], runs=self.runs,
                          seed=self.seed + (TRAINING if training else 0),
-                         overrides={**self.fixed, f"estimators.{self.label}": dict(entry)})
+                         overrides={**self.fixed, **self.scenario.setting(self.variant).split(training),
+                                    f"estimators.{self.label}": dict(entry)})
         rows = joined([result.rows for result in run(plan, {}, self.machinery)]).to_pandas().sort_values("run")
         fine = rows[rows["status"] == "ok"]
         lost = len(rows) - len(fine)

@@ -14,11 +14,13 @@ from ..arrays import Array
 from ..measurement import Interval, Measurement
 from ..model import Inclusion
 from ..railway.dynamics import Slope, climbs
+from ..railway.odometer import INPUTS
 from ..schema import Strict
 
-FREE, STILL_MEAN, STILL_COUNT = 7, 8, 9
-"""Inputs behind those of `told`: seconds since the brakes last pulled more than `Limits.braking`; the accelerometer's
-mean over the stand under way, m/s^2, and of how many readings it is (0: the train moves)."""
+STANDING, FREE, STILL_MEAN, STILL_COUNT = range(len(INPUTS), len(INPUTS) + 4)
+"""Inputs behind those of the odometer: whether the train stands; seconds since the brakes last pulled more than
+`Limits.braking`; the accelerometer's mean over the stand under way, m/s^2, and of how many readings it is (0: the train
+moves)."""
 
 
 class Limits(Strict):
@@ -55,7 +57,7 @@ class Intervals:
     def predict(self, low: Array, high: Array, u: Array, interval: Interval) -> tuple[Array, Array]:
         """The intervals at the end of the interval, wheels used; low, high (3, S)."""
         limits, h = self.limits, np.asarray(interval.length, dtype=float)
-        reading, standing, a, b, va, vb = u[0], u[2] > 0, u[3], u[4], u[5], u[6]
+        reading, standing, a, b, va, vb = u[0], u[STANDING] > 0, u[3], u[4], u[5], u[6]
         steep = np.stack([_climb(low[0], self.slope), _climb(high[0], self.slope)])
         count = np.maximum(u[STILL_COUNT], 1.0)
         still = u[STILL_MEAN] - 0.5 * (steep[0] + steep[1])

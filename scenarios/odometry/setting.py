@@ -16,6 +16,7 @@ from ..arrays import Array, Mask
 from ..errors import InputError
 from ..model import DesignModel
 from ..railway.dynamics import GRAVITY
+from ..railway.odometer import Odometer, slip_modes
 from ..randomness import Streams
 from ..schema import ScenarioConfig
 from ..sensors.balise import Passages
@@ -23,9 +24,8 @@ from ..setting import Outcome, Quantity, Setting
 from ..world import World
 from .config import OdometryConfig
 from .inclusion import Intervals
-from .modes import slip_modes
 from .plant import Drawn, Ride, simulate
-from .told import Knowledge, Odometer
+from .told import Knowledge
 from .world import PHASES, OdometryWorld, phases
 
 SMOOTHED = 0.5
@@ -35,8 +35,8 @@ MOVING = 0.05
 
 
 class Odometry(Setting[OdometryConfig]):
-    """Truth [position m, speed m/s, accelerometer's bias m/s^2, scale of each wheel's reading, mean speed over the
-    step, radar's scale (with a radar)]. Scored from the first balise on while the train moves."""
+    """Truth [position m, speed m/s, accelerometer's bias m/s^2, way in the step m, scale of each measured wheel, that
+    of the radar (where there is one)]. Scored from the first balise on while the train moves."""
 
     kind: ClassVar[str] = "odometry"
     Config: ClassVar[type[ScenarioConfig]] = OdometryConfig
@@ -94,15 +94,15 @@ class Odometry(Setting[OdometryConfig]):
         span = max(1, round(SMOOTHED / period))
         smooth = np.concatenate([np.zeros((span, *counts.shape[1:])), counts])
         smooth = sensors.wheel.pulse / (span * period) * (smooth[span:] - smooth[:-span])
-        u = np.stack([reading, ride.force, ride.standing.astype(float), distance[:, 0], distance[:, 1], smooth[:, 0],
-                      smooth[:, 1], *self._calm(reading, ride)], axis=1)
-        wheels = distance / period
-        worth = sensors.wheel.variance(wheels, ride.standing, period)
+        u = np.stack([reading, ride.force, np.ones_like(reading), distance[:, 0], distance[:, 1], smooth[:, 0],
+                      smooth[:, 1], ride.standing.astype(float), *self._calm(reading, ride)], axis=1)
+        worth = sensors.wheel.variance(distance, ride.standing, period)
         everywhere = np.ones(position.shape, dtype=bool)
         fixed, seen = sensors.gnss.read(position, plant.tunnels, period, common("gnss"))
         doppler, heard, radar_scale = sensors.radar.read(speed, common("radar"))
         readings: dict[str, tuple[Array, Mask, Array]] = {
-            "wheel-a": (wheels[:, 0], everywhere, worth[:, 0]), "wheel-b": (wheels[:, 1], everywhere, worth[:, 1]),
+            "wheel-a": (distance[:, 0], everywhere, worth[:, 0]),
+            "wheel-b": (distance[:, 1], everywhere, worth[:, 1]),
             "balise": (np.zeros_like(position), ~everywhere, np.ones_like(position)),
             "gnss": (fixed, seen, np.full_like(position, sensors.gnss.told**2)),
             "radar": (doppler, heard, np.full_like(position, sensors.radar.noise**2))}
@@ -110,9 +110,10 @@ class Odometry(Setting[OdometryConfig]):
         y, variance = (np.stack([readings[name][i] for name in names], axis=1).astype(float) for i in (0, 2))
         there = np.stack([readings[name][1] for name in names], axis=1)
         arrived = config.channel.draw(streams("channel"), steps, len(names))
-        mean = np.diff(position, axis=0, prepend=np.full((1, len(streams.runs)), plant.line.stops[0])) / period
-        truth = np.stack([position, speed, bias, *(np.repeat(wheel_scale[i][None], steps, axis=0) for i in range(2)),
-                          mean, *([np.repeat(radar_scale[None], steps, axis=0)] if "radar" in names else [])], axis=1)
+        way = np.diff(position, axis=0, prepend=np.full((1, len(streams.runs)), plant.line.stops[0]))
+        scales = {"wheel-a": wheel_scale[0], "wheel-b": wheel_scale[1], "radar": radar_scale}
+        truth = np.stack([position, speed, bias, way, *(np.repeat(scales[name][None], steps, axis=0)
+                                                        for name in names if name in scales)], axis=1)
         return OdometryWorld(
             truth=truth, u=u, y=y, received=there & arrived, variance=variance, active=ride.active, period=period,
             balise=names.index("balise") if "balise" in names else -1, heard=arrived, passages=passages, ride=ride,
@@ -144,17 +145,15 @@ class Odometry(Setting[OdometryConfig]):
         told: Knowledge = self.resolve_knowledge(knowledge)
         sensors, plant, period = self.config.sensors, self.config.plant, self.config.time.period
         names = sensors.measured
-        own = {"wheel-a": (sensors.wheel.pulse / np.sqrt(6.0) / period) ** 2, "gnss": sensors.gnss.told**2,
-               "radar": sensors.radar.noise**2, "balise": float(sensors.balise.variance(
-                   np.array([sensors.balise.location[0]]))[0])}
-        own["wheel-b"] = own["wheel-a"]
-        odometer = Odometer(told, names, np.array([own[name] for name in names]), period,
-                            plant.line.slope(plant.train.rotating))
+        location = float(sensors.balise.variance(np.array([sensors.balise.location[0]]))[0])
+        own = {"wheel-a": sensors.wheel.pulse / 6**0.5, "wheel-b": sensors.wheel.pulse / 6**0.5,
+               "gnss": sensors.gnss.told, "radar": sensors.radar.noise, "balise": location**0.5}
+        odometer = Odometer(told, {name: own[name] for name in names}, period, plant.line.slope(plant.train.rotating))
         tells = names if told.motion == "accelerometer" else ()
         bounded = Intervals(told.limits, odometer.slope, sensors.wheel.pulse, period,
                             names.index("balise") if "balise" in names else -1)
         return odometer.model(initial_mean, tells, inclusion=bounded.inclusion(plant.line.stops[0]),
-                              modes=slip_modes(odometer, initial_mean, names, tells))
+                              modes=slip_modes(odometer, initial_mean, tells))
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """The trip's time, s, and seconds that each axle slid."""

@@ -29,7 +29,7 @@ def phases(ride: Ride, moving: float) -> NDArray[np.int16]:
 
 @dataclass(frozen=True)
 class OdometryWorld:
-    """An open-loop world. truth (K, nt, S), u (K, 10, S), y, received, variance (K, ny, S): variance is what each
+    """An open-loop world. truth (K, nt, S), u (K, 11, S), y, received, variance (K, ny, S): variance is what each
     sensor tells; heard (K, ny, S): what the channel lets through; balise: its place among the measurements (-1: none),
     start: the first stop, m. extra: what figures want."""
 

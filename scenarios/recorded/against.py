@@ -20,7 +20,10 @@ NEAR, WIDE = 0.05, 0.25
 PARTS, LEAST = 24, 20.0
 """The trip is cut into so many parts; ways below this, m, tell nothing."""
 PAIRS = (("speed", "position"), ("speed", "odometer"), ("speed", "reference_position"), ("odometer", "position"),
-         ("odometer", "reference_position"), ("position", "reference_position"), ("speed", "reference_speed"))
+         ("odometer", "reference_position"), ("position", "reference_position"), ("speed", "reference_speed"),
+         ("wheel-a", "wheel-b"), *((wheel, other) for wheel in ("wheel-a", "wheel-b")
+                                   for other in ("position", "reference_position", "balise")),
+         ("speed", "wheel-a"), ("odometer", "balise"))
 
 
 def against(time: Array, columns: Mapping[str, Array]) -> Iterator[Finding]:
@@ -35,7 +38,8 @@ def against(time: Array, columns: Mapping[str, Array]) -> Iterator[Finding]:
         text = f"the way by {one} is {abs(ratio):.4g} times the way by {other}"
         named = _factor(abs(ratio))
         if ratio < 0 and together < -0.5:
-            yield Finding("impossible", one, f"{one} and {other} go in opposite directions: the sign of one is turned")
+            yield Finding("impossible", one, f"{one} and {other} go in opposite directions: a minus turns one "
+                          f"(--map {one}=-COLUMN)")
         elif named:
             yield Finding("impossible", one, f"{text}: the factor between {named}: the unit of one of them is another")
         elif together < 0.5:

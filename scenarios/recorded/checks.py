@@ -23,7 +23,8 @@ FROZEN, SAMPLES = 30.0, 20
 """A reading is frozen where it is the same to the last digit for so many s, and so many samples."""
 OFFSIDE = 50.0
 """m across the line, above which a fix is said to be off it."""
-PLACES, PACES = ("position", "reference_position"), ("speed", "reference_speed")
+PLACES, PACES = ("position", "reference_position", "balise"), ("speed", "reference_speed")
+COUNTERS = ("odometer", "wheel-a", "wheel-b")
 
 
 def examine(time: Array, columns: Mapping[str, Array], told: Mapping[str, Array]) -> Iterator[Finding]:
@@ -47,8 +48,8 @@ def examine(time: Array, columns: Mapping[str, Array], told: Mapping[str, Array]
             yield from _jumps(role, at, clean, told[role][sound] if role in told else np.zeros(len(at)))
         if role in PACES:
             yield from _paces(role, at, clean)
-        if role == "odometer":
-            yield from _counter(at, clean)
+        if role in COUNTERS:
+            yield from _counter(role, at, clean)
         if role in (*PLACES, *PACES, "acceleration"):
             yield from _frozen(role, at, clean)
     if len(time) > 3:
@@ -105,7 +106,7 @@ def _no_values(role: str, values: Array, there: Index, time: Array) -> Iterator[
 def _jumps(role: str, time: Array, place: Array, told: Array) -> Iterator[Finding]:
     lengths, moved = np.diff(time), np.diff(place)
     pace = moved / lengths
-    what = "the reference" if role.startswith("reference") else "the position"
+    what = {"position": "the position", "balise": "the place by balises"}.get(role, "the reference")
     sure = np.nan_to_num(told)
     sure = TOLD * (sure[1:] + sure[:-1])  # what the readings themselves leave open
     fast = np.flatnonzero(np.abs(moved) > TOP_SPEED * lengths + sure)
@@ -128,7 +129,7 @@ def _jumps(role: str, time: Array, place: Array, told: Array) -> Iterator[Findin
     text = (f"{what} moves at {abs(pace[k]):.0f} m/s at t = {time[k + 1]:.6g} s" if verb == "moves" else
             f"{what} jumps by {abs(ahead[max(k - 1, 0)]):.3g} m at t = {time[k + 1]:.6g} s")
     yield Finding("impossible", role, f"{text}{places}: {leave_out(time, rows)}",
-                  reading=role == "position")
+                  reading=not role.startswith("reference"))
 
 
 def _paces(role: str, time: Array, speed: Array) -> Iterator[Finding]:
@@ -146,16 +147,16 @@ def _paces(role: str, time: Array, speed: Array) -> Iterator[Finding]:
                       "places)")
 
 
-def _counter(time: Array, counted: Array) -> Iterator[Finding]:
+def _counter(role: str, time: Array, counted: Array) -> Iterator[Finding]:
     steps = np.diff(counted)
     back = np.flatnonzero(steps < 0)
     if len(back):
-        yield Finding("odd", "odometer", f"the odometer goes back by {-steps[back].min():.4g} m at t = "
+        yield Finding("odd", role, f"the {role} goes back by {-steps[back].min():.4g} m at t = "
                       f"{time[back[np.argmin(steps[back])] + 1]:.6g} s ({len(back)} such places)")
     fast = np.flatnonzero(steps > TOP_SPEED * np.diff(time) + 10 * max(float(np.median(np.abs(steps))), 1.0))
     if len(fast):
         k = fast[np.argmax(steps[fast])]
-        yield Finding("impossible", "odometer", f"the odometer jumps by {steps[k]:.4g} m at t = {time[k + 1]:.6g} s "
+        yield Finding("impossible", role, f"the {role} jumps by {steps[k]:.4g} m at t = {time[k + 1]:.6g} s "
                       f"({len(fast)} such places): {leave_out(time, fast + 1)}")
 
 

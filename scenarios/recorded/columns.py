@@ -20,7 +20,8 @@ from .readers import Table
 ROLES: dict[str, dict[str, float]] = {
     "time": TIMES, "position": LENGTHS, "speed": SPEEDS, "odometer": LENGTHS, "acceleration": ACCELERATIONS,
     "control": SHARES, "latitude": ANGLES, "longitude": ANGLES, "position_sd": LENGTHS, "speed_sd": SPEEDS,
-    "odometer_sd": LENGTHS, "reference_position": LENGTHS, "reference_speed": SPEEDS}
+    "odometer_sd": LENGTHS, "reference_position": LENGTHS, "reference_speed": SPEEDS, "wheel-a": LENGTHS,
+    "wheel-b": LENGTHS, "balise": LENGTHS, "balise_sd": LENGTHS}
 """What a column can be, and the units it may have."""
 PLAIN = ("latitude", "longitude")
 """Roles whose columns need no unit: degrees."""
@@ -49,8 +50,14 @@ class Cells:
 
 
 def find_column(table: Table, role: str, text: str) -> Column:
-    """The column that `text` (`name_unit`, `name [unit]`, `name (unit)`) means for a role. Raises ValueError."""
+    """The column that `text` (`name_unit`, `name [unit]`, `name (unit)`) means for a role; with a minus before it its
+    sign is turned. Raises ValueError."""
     units = ROLES[role]
+    if text.startswith("-") and text not in table.names:
+        if role in (*PLAIN, "time") or role.endswith("_sd"):
+            raise ValueError(f"map.{role}: a minus turns places, speeds and accelerations, not \"{text[1:]}\"")
+        turned = find_column(table, role, text[1:])
+        return Column(turned.name, turned.unit, -turned.factor)
     name, unit = _named(table, role, text)
     if not unit:
         unit = table.units.get(name, "") or unit_in(name, units)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from math import nan
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, field_validator, model_validator
 
 from ..arrays import Array
 from ..channels import Channel, Ideal
@@ -17,19 +17,23 @@ from ..schema import ScenarioConfig, Strict
 from .columns import ROLES
 from .recording import MEASURED, Meaning, Recording, read_recording
 from .times import Duplicates, Order
-from .told import Knowledge
+from .told import Knowledge, WheelKnowledge
 
-Name = Literal["position", "speed", "odometer"]
+Name = Literal["position", "speed", "odometer", "wheel-a", "wheel-b", "balise"]
+Read = Literal["position", "speed", "odometer"]
 Span = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 
 
 class Plant(Strict):
     """recording: path of a recorded trip, CSV or another of the formats that are read, or a list of several trips'
-    paths, of which `trips` says whether a run draws one or the runs go through them in turn. map: role -> column with
+    paths, of which `trips` says whether a run draws one or the runs go through them in turn; tuning takes the first
+    `split` of them and shows what it found on the others (0: all). map: role -> column with
     its unit (`t_s`, `t [s]`, `t (s)`); roles: time, position (or latitude and longitude), speed, odometer,
-    acceleration, control (the share of the greatest force asked for from that time on), reference_position,
-    reference_speed, and position_sd, speed_sd, odometer_sd (how good the sensor says its reading is). line, train:
-    tables, or paths of TTOBench files, for the model of the train that `control` drives.
+    acceleration, control (the share of the greatest force asked for from that time on), wheel-a, wheel-b (what each
+    axle's sensor has counted), balise (the place of the one passed, or its name), reference_position, reference_speed,
+    and position_sd, speed_sd, odometer_sd, balise_sd (how good the sensor says its reading is). A minus before a column
+    turns its sign. line, train: tables, or paths of TTOBench files, for the model of the train that `control` drives,
+    and for the gradient that an accelerometer feels. balises: places in m by name, or a file of two columns.
 
     missing: numbers or texts that stand for no value. quality: class of a _sd column -> standard deviation in SI, or
     "missing" for no reading. order: of rows that are not in order of time. duplicates: of rows with the same time.
@@ -40,6 +44,7 @@ class Plant(Strict):
     kind: Literal["recorded"]
     recording: str | Annotated[list[str], Field(min_length=1)] | None = None
     trips: Literal["turn", "draw"] = "turn"
+    split: NonNegativeInt = 0
     map: dict[str, str] = {}
     missing: list[float | str] = []
     quality: dict[str, PositiveFloat | Literal["missing"]] = {}
@@ -49,6 +54,7 @@ class Plant(Strict):
     track: str | None = None
     span: Span | None = None
     without: list[Span] = []
+    balises: str | dict[str, float] = {}
     line: LineOrFile | None = None
     train: TrainOrFile | None = None
 
@@ -68,17 +74,24 @@ class Plant(Strict):
             quality=tuple((name, nan if sd == "missing" else sd) for name, sd in self.quality.items()),
             order=self.order, duplicates=self.duplicates, wrap=self.wrap, track=self.track,
             span=(self.span[0], self.span[1]) if self.span else None,
-            without=tuple((begin, end) for begin, end in self.without))
+            without=tuple((begin, end) for begin, end in self.without),
+            balises=self.balises if isinstance(self.balises, str) else tuple(self.balises.items()))
 
     def recorded(self) -> tuple[Recording, ...]:
         """The trips. Raises ValueError where one cannot be read."""
-        paths = [self.recording] if isinstance(self.recording, str) else self.recording or []
-        return tuple(read_recording(path, self.meaning) for path in paths)
+        return tuple(read_recording(path, self.meaning) for path in self.paths)
+
+    @property
+    def paths(self) -> list[str]:
+        """The files of the trips."""
+        return [self.recording] if isinstance(self.recording, str) else self.recording or []
 
     @model_validator(mode="after")
     def _readable(self) -> Plant:
         if any(begin >= end for begin, end in [*self.without, *([self.span] if self.span else [])]):
             raise ValueError("span = [from, to] and without = [[from, to], ..] need from < to")
+        if self.split >= max(len(self.paths), 1):
+            raise ValueError(f"split = {self.split} leaves none of the {len(self.paths)} recordings to show on")
         for trip in self.recorded():
             wrong = [item.text for item in trip.findings if item.grade == "impossible" and not item.reading]
             if wrong:
@@ -117,8 +130,8 @@ class Sensors(Strict):
     out, taken from the readings."""
 
     use: Annotated[list[Name], Field(min_length=1)]
-    noise: dict[Name, NonNegativeFloat] = {}
-    period: dict[Name, NonNegativeFloat] = {}
+    noise: dict[Read, NonNegativeFloat] = {}
+    period: dict[Read, NonNegativeFloat] = {}
     odometer_step: NonNegativeFloat | None = None
     outage: Outage = Outage()
 
@@ -130,17 +143,23 @@ class RecordedConfig(ScenarioConfig):
     sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
     channel: Channel = Ideal()
     faults: Faults = ()
-    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
+    knowledge: Annotated[Knowledge | WheelKnowledge, Field(  # pyright: ignore[reportGeneralTypeIssues]
+        discriminator="motion")]
 
     @model_validator(mode="after")
     def _fits_the_recording(self) -> RecordedConfig:
         outage = self.sensors.outage
+        for name in self.sensors.use:
+            self.knowledge.worth(name)
         for trip in self.plant.recorded():
             found = self.heard(trip)
             if not found:
                 raise ValueError(f"sensors.use has {', '.join(self.sensors.use)}, but plant.map has "
                                  f"{', '.join(trip.measured) or 'no sensor'}: map one of them, or run another variant")
             self.channel.check(len(found))
+            if outage.place != "none" and not set(outage.sensors) & set(found):
+                raise ValueError(f"sensors.outage.sensors has {', '.join(outage.sensors)}, but what is heard is "
+                                 f"{', '.join(found)}")
             if len(trip.time) - 1 > self.time.steps:
                 raise ValueError(f"time.steps: {trip.path} has {len(trip.time)} rows, more than {self.time.steps} "
                                  "steps: take a part (--from, --to, or plant.span) or more steps (--set time.steps="
@@ -166,9 +185,11 @@ class RecordedConfig(ScenarioConfig):
             return True
         if quantity == "speed" and "speed" not in trip.measured:
             quantity = "position"
+        if quantity == "position":
+            quantity = trip.own
         sensors: Mapping[str, float] = self.sensors.noise  # pyright: ignore[reportAssignmentType]
         periods: Mapping[str, float] = self.sensors.period  # pyright: ignore[reportAssignmentType]
         outage = self.sensors.outage
         return bool(sensors.get(quantity, 0.0) > 0 or periods.get(quantity, 0.0) > 0 or (
-            quantity == "position" and "position" not in self.sensors.use) or (
+            quantity == trip.own and quantity not in self.sensors.use) or (
             outage.place != "none" and quantity in outage.sensors) or self.channel != Ideal())

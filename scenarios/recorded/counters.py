@@ -17,8 +17,9 @@ NEAR_ZERO, LEAST = 0.02, 5.0
 """A counter that falls below this share of where it was, or this many m, was reset."""
 
 
-def unwound(path: str, time: Array, counted: Array, wrap: float | None) -> tuple[Array, list[str]]:
-    """The odometer (N,) in m as one count that goes on, and what was done, in words. Raises ValueError for a fall that
+def unwound(path: str, time: Array, counted: Array, wrap: float | None,
+            name: str = "odometer") -> tuple[Array, list[str]]:
+    """A counter (N,) in m as one count that goes on, and what was done, in words. Raises ValueError for a fall that
     is neither the wrap told nor a reset."""
     there = np.flatnonzero(np.isfinite(counted))
     steps, lengths = np.diff(counted[there]), np.diff(time[there])
@@ -30,18 +31,18 @@ def unwound(path: str, time: Array, counted: Array, wrap: float | None) -> tuple
         if wrap is not None:
             turns = np.round((before - after) / wrap)
             if turns < 1 or not -LEAST <= after + turns * wrap - before <= usual[k]:
-                raise ValueError(f"{path}: the odometer falls from {before:.9g} to {after:.9g} m at t = {at:.6g} s: "
+                raise ValueError(f"{path}: the {name} falls from {before:.9g} to {after:.9g} m at t = {at:.6g} s: "
                                  f"wrap = {wrap:g} does not explain it")
             added[k] = turns * wrap
         elif 0 <= after <= max(NEAR_ZERO * before, LEAST):
             added[k] = before - after
-            said.append(f"the odometer falls from {before:.9g} to {after:.9g} m at t = {at:.6g} s: taken as a reset, "
+            said.append(f"the {name} falls from {before:.9g} to {after:.9g} m at t = {at:.6g} s: taken as a reset, "
                         "the way in between is lost (if its counter wraps: wrap = METRES)")
         else:
-            raise ValueError(f"{path}: the odometer falls from {before:.9g} to {after:.9g} m at t = {at:.6g} s: wrap = "
+            raise ValueError(f"{path}: the {name} falls from {before:.9g} to {after:.9g} m at t = {at:.6g} s: wrap = "
                              "METRES where its counter wraps, or leave the place out (--without)")
     if wrap is not None and len(falls):
-        said.append(f"the odometer wrapped {len(falls)} times at {wrap:g} m")
+        said.append(f"the {name} wrapped {len(falls)} times at {wrap:g} m")
     out = counted.copy()
     out[there[1:]] += np.cumsum(added)
     return out, said

@@ -35,6 +35,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "time": ("t", "time", "timestamp", "tst", "tsi", "ts", "stamp", "datetime", "utc", "zeit", "log"),
     "latitude": ("lat", "latitude"), "longitude": ("lon", "long", "lng", "longitude"),
     "position": ("s", "pos", "position", "distance", "dist", "chainage", "km"),
+    "wheel-a": ("wheel", "axle", "tacho"), "balise": ("balise", "eurobalise", "beacon"),
     "speed": ("v", "speed", "spd", "velocity", "vel"), "odometer": ("odo", "odometer", "mileage"),
     "acceleration": ("acc", "accel", "acceleration", "a"), "control": ("u", "control", "notch", "throttle"),
     "position_sd": ("accuracy", "sd", "std", "sigma", "hacc", "quality", "fix", "type")}
@@ -58,11 +59,13 @@ class Mapping:
     why: dict[str, str]
 
 
-def suggested(table: Table) -> Mapping:
-    """Roles for a recording's columns."""
+def suggested(table: Table, balises: bool = False) -> Mapping:
+    """Roles for a recording's columns; balises: whether there is a table of their places by name."""
     chosen: dict[str, str] = {}
     for name in table.names:
-        role = _role(table, name)
+        role = _role(table, name, balises)
+        if role == "wheel-a" and role in chosen:
+            role = "wheel-b"
         if role and role not in chosen:
             chosen[role] = name
     if "position" in chosen or "reference_position" in chosen:
@@ -78,12 +81,14 @@ def suggested(table: Table) -> Mapping:
             quality = {word: CLASSES[word] for word in words}
         else:
             del chosen["position_sd"]
-    return _with_units(table, chosen, quality)
+    return _with_units(table, chosen, quality, ("latitude", "longitude", *(["balise"] if balises else [])))
 
 
-def _role(table: Table, name: str) -> str:
+def _role(table: Table, name: str, balises: bool) -> str:
     """What a column looks like, "" for nothing."""
     words = [word for word in re.split(r"[^a-z0-9]+", re.sub(r"\W*[\[(].*", "", name.lower())) if word]
+    if balises and set(words) & set(WORDS["balise"]):
+        return "balise"
     if not words or set(words) & NOT:
         return ""
     dated = not is_numeric(table, name)
@@ -112,14 +117,15 @@ def _is_time(table: Table, name: str) -> bool:
     return bool(cells) and all(re.match(r"\s*(\d{4}-\d\d-\d\d|\d{1,2}:\d\d:\d\d)", cell) for cell in cells)
 
 
-def _with_units(table: Table, chosen: dict[str, str], quality: dict[str, float | str]) -> Mapping:
-    """The columns with a unit where their names have none."""
+def _with_units(table: Table, chosen: dict[str, str], quality: dict[str, float | str],
+                plain: tuple[str, ...]) -> Mapping:
+    """The columns with a unit where their names have none; plain: roles without one."""
     out, why = {}, dict[str, str]()
     for role, name in chosen.items():
         out[role] = name
         units = ROLES[role]
         known = table.units.get(name, "") in units or unit_in(name, units)
-        if known or role in ("latitude", "longitude") or (role == "position_sd" and quality):
+        if known or role in plain or (role == "position_sd" and quality):
             continue
         if role == "time":
             if is_numeric(table, name):

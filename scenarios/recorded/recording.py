@@ -30,9 +30,12 @@ from .columns import (
 from .counters import step_of, unwound
 from .readers import Table, read
 from .times import Duplicates, Order, ordered, seconds
+from .wheels import balises_in, passages, placed, together
 
-MEASURED = ("position", "speed", "odometer")
+MEASURED = ("position", "speed", "odometer", "wheel-a", "wheel-b", "balise")
 SENSORS = (*MEASURED, "acceleration")
+COUNTERS = ("odometer", "wheel-a", "wheel-b")
+PLACES = ("position", "reference_position", "balise")
 REFERENCE_SD = 10.0
 """m; a reading that says it is worse than this is no reference for others."""
 
@@ -41,7 +44,7 @@ REFERENCE_SD = 10.0
 class Meaning:
     """What a scenario says of a recording: map, role -> column; missing, values that stand for none; quality, a class
     -> m or NaN for no reading; order and duplicates of stamps; wrap m of the odometer; track, a GeoJSON file; span
-    (from, to) and without ((from, to), ..) in s after the first row."""
+    (from, to) and without ((from, to), ..) in s after the first row; balises, places in m by name or a file of such."""
 
     map: tuple[tuple[str, str], ...]
     missing: tuple[str | float, ...] = ()
@@ -52,12 +55,14 @@ class Meaning:
     track: str | None = None
     span: tuple[float, float] | None = None
     without: tuple[tuple[float, float], ...] = ()
+    balises: str | tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class Recording:
-    """time (N,) s after the file's first row, increasing. measured: the readings (N,), NaN where none; told: standard
-    deviations (N,) of those that say how good they are, NaN where one does not.
+    """time (N,) s after the file's first row, increasing. measured: the readings (N,), NaN where none, of wheels and
+    odometer their counts in m; told: standard deviations (N,) of those that say how good they are, NaN where one does
+    not.
 
     position, speed (N,): the reference, filled between its values; known: where there is one (N,). apart: whether the
     reference of position and of speed is a column of its own. control (N,): the share of the greatest force that is
@@ -78,6 +83,11 @@ class Recording:
     findings: tuple[Finding, ...]
 
     @property
+    def own(self) -> str:
+        """The reading that is the position's reference where no column of its own is: of satellites, or balises."""
+        return "position" if "position" in self.measured else "balise"
+
+    @property
     def odometer_step(self) -> float:
         """The odometer's step in m, 0 for a fine one."""
         if "odometer" not in self.measured:
@@ -90,7 +100,8 @@ def read_recording(path: str, meaning: Meaning) -> Recording:
 
     The reference is `reference_position` and `reference_speed`; where they are not mapped, the measured columns are
     their own reference, and a reference speed that is in no column is the derivative of the reference position."""
-    return _recording(path, meaning, _stamp(path), _stamp(meaning.track) if meaning.track else 0)
+    beside = [file for file in (meaning.track, meaning.balises) if isinstance(file, str)]
+    return _recording(path, meaning, _stamp(path), max(map(_stamp, beside), default=0))
 
 
 def table_at(path: str) -> Table:
@@ -110,7 +121,7 @@ def _table(path: str, stamp: int) -> Table:
 
 
 @lru_cache(maxsize=16)
-def _recording(path: str, meaning: Meaning, stamp: int, track_stamp: int) -> Recording:
+def _recording(path: str, meaning: Meaning, stamp: int, beside: int) -> Recording:
     table = _table(path, stamp)
     columns = {role: find_column(table, role, text) for role, text in meaning.map}
     _enough(path, columns, table)
@@ -128,20 +139,24 @@ def _recording(path: str, meaning: Meaning, stamp: int, track_stamp: int) -> Rec
         place, across, line = along(latitude, longitude, told.get("position"), meaning.track, path)
         found["position"], found["across"] = place, across
         said.append(f"position: latitude and longitude along {line}, at most {np.nanmax(across):.3g} m beside it")
-    if "odometer" in found:
-        found["odometer"], done = unwound(path, time, found["odometer"], meaning.wrap)
-        said += done
+    for name in COUNTERS:
+        if name in found:
+            found[name], done = unwound(path, time, found[name], meaning.wrap, name)
+            said += done
     keep = _kept(time, meaning, path)
     if not keep.all():
         said.append(f"{len(time) - keep.sum()} of {len(time)} rows left out (from, to, without)")
     time, found, told = time[keep], _taken(found, keep), _taken(told, keep)
     if len(time) < 3:
         raise ValueError(f"{path}: needs at least three rows, but has {len(time)}")
+    together(path, found, said)
+    if "balise" in found:
+        found["balise"] = passages(found["balise"], said)
     return _assembled(path, time, found, told, dict(meaning.map), said)
 
 
 def _enough(path: str, columns: Mapping[str, Column], table: Table) -> None:
-    places = {"position", "reference_position"} & set(columns)
+    places = {"position", "reference_position", "balise"} & set(columns)
     fix = {"latitude", "longitude"} & set(columns)
     if len(fix) == 1:
         raise ValueError(f"map: latitude and longitude go together, but {path} has only {fix.pop()} mapped")
@@ -150,7 +165,7 @@ def _enough(path: str, columns: Mapping[str, Column], table: Table) -> None:
     if "time" not in columns or not (places or fix):
         raise ValueError(f"map: needs time and position (or reference_position, or latitude and longitude), such as "
                          f"time=t_s,position=s_m; {path} has {', '.join(table.names)}")
-    for role in ("position", "speed", "odometer"):
+    for role in ("position", "speed", "odometer", "balise"):
         if f"{role}_sd" in columns and role not in columns and not (role == "position" and fix):
             raise ValueError(f"map.{role}_sd: says how good {role} is, which is not mapped")
 
@@ -171,12 +186,18 @@ def _values(table: Table, columns: Mapping[str, Column], meaning: Meaning) -> tu
             del numeric[role]
     lost = {sensor: np.isnan(deviations) for sensor, deviations in told.items()}
     time, kind = numeric.pop("time"), ""
-    written = [column.name for column in (*numeric.values(), time) if is_text(table, column.name)]
+    written = [column.name for role, column in (*numeric.items(), ("time", time)) if is_text(table, column.name)
+               and not (role == "balise" and meaning.balises)]
     decimal = decimal_sign(table, [name for name in dict.fromkeys(written) if not _dated(table, name)])
     cells = Cells(plain.missing, plain.absent, decimal)
     stamps, kind = seconds(table, time, texts["time"], cells)
     found: dict[str, Array] = {}
     for role, column in numeric.items():
+        if role == "balise" and meaning.balises:
+            places = (balises_in(table_at(meaning.balises)) if isinstance(meaning.balises, str)
+                      else dict(meaning.balises))
+            found[role] = placed(table, column.name, places)
+            continue
         found[role] = need_unit(role, column, texts[role]) * numbers(table, column.name, cells)
         if role.endswith("_sd"):
             values = found.pop(role)
@@ -221,10 +242,11 @@ def _kept(time: Array, meaning: Meaning, path: str) -> Mask:
 def _assembled(path: str, time: Array, found: dict[str, Array], told: dict[str, Array], named: Mapping[str, str],
                said: list[str]) -> Recording:
     """The recording from its columns in SI, from the first position reading on. Raises ValueError."""
-    if "position" in found and np.isfinite(found["position"]).any():
-        first = int(np.isfinite(found["position"]).argmax())
+    start = next((role for role in PLACES if role in found), "")
+    if start and start != "reference_position" and np.isfinite(found[start]).any():
+        first = int(np.isfinite(found[start]).argmax())
         if first:
-            said.append(f"begins at t = {time[first]:.6g} s, with the first position ({first} rows before it left out)")
+            said.append(f"begins at t = {time[first]:.6g} s, with the first {start} ({first} rows before it left out)")
             time = time[first:]
             found, told = ({role: values[first:] for role, values in part.items()} for part in (found, told))
     measured = {role: found[role] for role in SENSORS if role in found}
@@ -232,11 +254,11 @@ def _assembled(path: str, time: Array, found: dict[str, Array], told: dict[str, 
         if role != "across" and not np.isfinite(values).any():
             raise ValueError(f"{path}: {role} ({named.get(role, '')}) has no value in any row")
     apart = {"position": "reference_position" in found, "speed": "reference_speed" in found}
-    place = found.get("reference_position", found.get("position"))
-    assert place is not None
+    own = "position" if "position" in found else "balise"  # its own reference where there is no other
+    place = found["reference_position"] if apart["position"] else found[own]
     known = {"position": np.isfinite(place)}
-    if not apart["position"] and "position" in told:
-        vague = np.nan_to_num(told["position"]) > REFERENCE_SD
+    if not apart["position"] and own in told:
+        vague = np.nan_to_num(told[own]) > REFERENCE_SD
         if (vague & known["position"]).any():
             said.append(f"{int((vague & known['position']).sum())} positions that tell more than {REFERENCE_SD:g} m "
                         "are readings, but no reference")
@@ -252,7 +274,7 @@ def _assembled(path: str, time: Array, found: dict[str, Array], told: dict[str, 
         pace[where] = np.gradient(place[where], time[where])
         apart["speed"] = apart["position"]
     known["speed"] = np.isfinite(pace)
-    at = named.get("position", "latitude and longitude")
+    at = named.get(own, "latitude and longitude")
     reference = (f"position: {named['reference_position']}" if apart["position"] else
                  f"position: the reading {at} itself") + "; speed: " + (
         named["reference_speed"] if "reference_speed" in found else f"the reading {named['speed']} itself"

@@ -16,12 +16,16 @@ from ..arrays import Array, Index, Mask
 from ..channels import Sent
 from ..observation import faulted
 from ..randomness import RunRandom, Streams
+from ..sensors.wheel import rolled as rolled_variance
 from ..world import Sensing, Step, Trajectory
 from .config import Outage, RecordedConfig
 from .recording import Recording
+from .told import WheelKnowledge
+from .wheels import WHEELS, counted, held, step_of, told
 
 INPUTS = ("distance", "speed", "control", "acceleration")
-"""The input's elements: by the odometer (or the integral of the speed), as told, share, m/s^2."""
+"""The input's elements: by the odometer (or the integral of the speed), as told, share, m/s^2. With wheels, those of
+the odometer's model stand behind them."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,12 @@ def together(parts: Mapping[int, Trajectory], which: Index) -> Several:
     for trip, part in parts.items():
         each[:part.steps, which == trip] = part.lengths[:, None]
         start[:, which == trip] = part.initial_mean
-    told, late, faulty = (None if getattr(longest, name) is None else joined(name, fill) for name, fill in (
-        ("covariance", np.nan), ("late", 0), ("faulty", False)))
+    told, late, faulty, reference = (None if getattr(longest, name) is None else joined(name, fill) for name, fill in (
+        ("covariance", np.nan), ("late", 0), ("faulty", False), ("reference", np.nan)))
     return Several(
         truth=joined("truth", np.nan), u=joined("u", 0.0), y=joined("y", 0.0), received=joined("received", False),
         active=joined("active", False), lengths=longest.lengths, initial_mean=start, covariance=told,
-        late=late, faulty=faulty,
+        late=late, faulty=faulty, reference=reference,
         extra={name: np.zeros((K, runs)) for name in longest.extra} | {"outage": _outages(parts, which, K)},
         windows=longest.windows, window=joined("window", -1), each=each)
 
@@ -73,8 +77,9 @@ def _outages(parts: Mapping[int, Trajectory], which: Index, steps: int) -> Array
 def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_step: float, sensing: Sensing,
          trips: int = 1, *, shared: bool = True) -> Trajectory:
     """The world of the runs that take this trip, in turn with others where there are several; shared: what sensors tell
-    is the same for all runs. u (K, 4, S): see `INPUTS`; y (K, ny, S): the sensors' readings in m, m/s, m; truth
-    (K, 2, S): position and speed, NaN where there is no reference."""
+    is the same for all runs. u (K, 4 or 11, S): see `INPUTS`; y (K, ny, S): the sensors' readings in m and m/s, of a
+    wheel what it rolled since it was last read; truth (K, 2, S): position and speed, NaN where there is no
+    reference."""
     sensors, runs, lengths = config.heard(trip), len(streams.runs), np.diff(trip.time)
     steps, random = len(lengths), streams("measurement")
     readings = {name: _reading(values, config.sensors.noise.get(name, 0.0), random, runs)  # pyright: ignore
@@ -82,6 +87,9 @@ def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_ste
     out = _outage(config.sensors.outage, trip.time[1:], streams, trips)
     start = np.zeros((5, runs))
     start[0], start[1] = begin(trip, readings)
+    rolled = {name: counted(trip.time, trip.measured[name]) for name in WHEELS if name in trip.measured}
+    for name, (distance, ends, _) in rolled.items():  # a count before is needed too
+        readings[name] = np.concatenate([[np.nan], np.where(ends, distance, np.nan)])[:, None].repeat(runs, axis=1)
     kept = {name: np.isfinite(values[1:]) & _sampled(trip.time, config.sensors.period.get(name, 0.0))  # pyright: ignore
             for name, values in readings.items()}
     for name in set(config.sensors.outage.sensors) & set(kept):
@@ -97,33 +105,51 @@ def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_ste
         clean[name] = kept[name] = arrived.received[:, i]
         if config.faults:
             clean[name] = kept[name] & ~sensed.faulty[:, i]
+        if name in rolled:  # faults of a count stay in it
+            readings[name][1:] = np.where(rolled[name][1][:, None], sensed.y[:, i], np.nan)
+            continue
         readings[name] = np.concatenate([readings[name][:1], np.where(kept[name], arrived.y[:, i], np.nan)])
     y, received = arrived.y.copy(), arrived.received
     late = np.zeros_like(received) if arrived.late is None else arrived.late > 0
     truth = np.where(_scored(trip, config, sensors, clean), truth if sensed.truth is None else sensed.truth, np.nan)
     if "odometer" in sensors:
-        counted = trip.measured["odometer"]
-        first = int(np.isfinite(trip.measured["odometer"]).argmax())
-        place = start[0] if "position" not in readings else _held(readings["position"])[first]
-        y[:, sensors.index("odometer")] += 0.5 * odometer_step - counted[first] + place
+        count = trip.measured["odometer"]
+        begun = int(np.isfinite(count).argmax())
+        place = start[0] if "position" not in readings else held(readings["position"])[begun]
+        y[:, sensors.index("odometer")] += 0.5 * odometer_step - count[begun] + place
     ends = out & ~np.concatenate([out[1:], np.zeros((1, runs), dtype=bool)])
     window = np.where(out, 0, -1)
     window[ends] = 1
     named = config.sensors.outage.place != "none"
+    u = _told(trip, {name: values for name, values in readings.items() if name not in rolled}, kept, lengths)
+    if rolled:
+        there = np.isfinite(trip.measured[next(iter(rolled))])
+        counts = [np.cumsum(np.nan_to_num(readings[name]), axis=0) for name in rolled]
+        heard = [np.concatenate([np.repeat(there[:1, None], runs, axis=1), kept[name]]) for name in rolled]
+        u = np.concatenate([u, told(trip.time, counts, heard, there, u[:, 3], trip.control)], axis=1)
     return Trajectory(
-        truth=truth, u=_told(trip, readings, kept, lengths), y=np.where(received | late, y, 0.0), received=received,
+        truth=truth, u=u, y=np.where(received | late, y, 0.0), received=received,
         late=arrived.late, faulty=sensed.faulty if config.faults else None, active=np.ones((steps, runs), dtype=bool),
         lengths=lengths, initial_mean=start, extra={"outage": out.astype(float)},
         windows=("outage", "outage-end") if named else (), window=window.astype(np.int16),
-        covariance=_said(trip, sensors, 1 if shared else runs))
+        covariance=_said(trip, sensors, config, rolled, 1 if shared else runs),
+        reference=_passed(trip, kept["balise"]) if "balise" in sensors else None)
+
+
+def _passed(trip: Recording, heard: Mask) -> Array:
+    """Where the last balise heard (K, S) lies as told and by the reference (K, 2, S), NaN before the first."""
+    last = np.maximum.accumulate(np.where(heard, np.arange(len(heard))[:, None], -1), axis=0)
+    places = np.stack([trip.measured["balise"][1:], trip.position[1:]])
+    return np.where(last >= 0, places[:, last], np.nan).swapaxes(0, 1)
 
 
 def begin(trip: Recording, readings: Mapping[str, Array]) -> tuple[Array, Array]:
     """Position and speed (S,) at the start, from the readings (N, S): the first position (the reference's where none is
     recorded), the first speed, or the pace of the odometer or of the first two positions."""
     runs = next(iter(readings.values())).shape[1]
-    place = readings["position"][0] if "position" in readings else np.full(runs, trip.position[0])
-    for name in ("speed", "odometer", "position"):
+    place = readings[trip.own][0] if trip.own in readings else np.full(runs, np.nan)
+    place = np.where(np.isfinite(place), place, trip.position[0])
+    for name in ("speed", "odometer", "wheel-a", "position"):
         there = np.flatnonzero(np.isfinite(trip.measured[name]))[:2] if name in trip.measured else []
         if name == "speed" and len(there):
             return place, readings[name][there[0]]
@@ -137,11 +163,12 @@ def _scored(trip: Recording, config: RecordedConfig, sensors: tuple[str, ...], k
     """Where an estimate may be scored by the reference of position and speed (K, 2, S). kept: readings that are heard
     as they were."""
     runs = next(iter(kept.values())).shape[1]
-    given = {name: kept[name] if config.sensors.noise.get(name, 0.0) == 0.0 else np.zeros_like(kept[name])
-             for name in ("position", "speed") if name in kept and (name in sensors or name == "speed")}
+    noise: Mapping[str, float] = config.sensors.noise  # pyright: ignore[reportAssignmentType]
+    given = {name: kept[name] if noise.get(name, 0.0) == 0.0 else np.zeros_like(kept[name])
+             for name in (trip.own, "speed") if name in kept and (name in sensors or name == "speed")}
     scored = {}
     for name in ("position", "speed"):
-        source = name if name == "position" or "speed" in trip.measured else "position"
+        source = "speed" if name == "speed" and "speed" in trip.measured else trip.own
         free = trip.apart[name] | ~given.get(source, np.zeros((len(trip.time) - 1, runs), dtype=bool))
         scored[name] = trip.known[name][1:, None] & free
     return np.stack([scored["position"], scored["speed"]], axis=1)
@@ -154,12 +181,12 @@ def _told(trip: Recording, readings: Mapping[str, Array], kept: Mapping[str, Mas
     A speed is integrated by the trapezoid rule from one reading to the next: between them it is held, and what the next
     one shows to be missing is added with it."""
     heard = {name: np.concatenate([values[:1], np.where(kept[name], values[1:], np.nan)])
-             for name, values in readings.items() if name != "position"}
+             for name, values in readings.items() if name not in ("position", "balise")}
     steps, runs = next(iter(kept.values())).shape
     length = lengths[:, None]
     distance, speed = np.zeros((steps, runs)), np.zeros((steps, runs))
     if "speed" in heard:
-        values = _held(heard["speed"])
+        values = held(heard["speed"])
         speed = values[1:]
         there = np.isfinite(heard["speed"])
         at = np.where(there, trip.time[:, None], -np.inf)
@@ -167,29 +194,40 @@ def _told(trip: Recording, readings: Mapping[str, Array], kept: Mapping[str, Mas
         since = trip.time[1:, None] - np.maximum.accumulate(at, axis=0)[:-1]
         distance = values[:-1] * length + np.where(there[1:], 0.5 * (values[1:] - values[:-1]) * since, 0.0)
     if "odometer" in heard:
-        distance = np.diff(_held(heard["odometer"]), axis=0)
+        distance = np.diff(held(heard["odometer"]), axis=0)
         speed = speed if "speed" in heard else distance / length
     control = np.zeros(steps) if trip.control is None else trip.control[:-1]
     force = np.zeros((steps, runs))
     if "acceleration" in heard:
-        values = _held(heard["acceleration"])
+        values = held(heard["acceleration"])
         force = 0.5 * (values[1:] + values[:-1])
     return np.stack([distance, speed, np.repeat(control[:, None], runs, axis=1), force], axis=1)
 
 
-def _said(trip: Recording, sensors: tuple[str, ...], runs: int) -> Array | None:
-    """The covariance (K, ny, ny, S or 1) that sensors tell with their readings, NaN where one does not."""
-    telling = [name for name in sensors if name in trip.told]
-    if not telling:
+def _said(trip: Recording, sensors: tuple[str, ...], config: RecordedConfig, wheels: Mapping[str, Any],
+          runs: int) -> Array | None:
+    """The covariance (K, ny, ny, S or 1) that sensors tell with their readings, NaN where one does not; of wheels what
+    the step of their count and micro-slip leave open. A balise in a row of other readings was passed within the way
+    d since the row before: d^2 / 3 about its end."""
+    variances = {name: trip.told[name][1:] ** 2 for name in sensors if name in trip.told}
+    known = config.knowledge
+    if isinstance(known, WheelKnowledge):
+        for name in set(sensors) & set(wheels):
+            variances[name] = known.wheel**2 + rolled_variance(wheels[name][0], step_of(trip.measured[name]),
+                                                               known.creep)
+        if "balise" in sensors and wheels:
+            way, own = next(iter(wheels.values()))[0], variances.get("balise", np.nan)
+            variances["balise"] = np.where(np.isnan(own), known.balise**2, own) + way**2 / 3
+    if not variances:
         return None
     out = np.full((len(trip.time) - 1, len(sensors), len(sensors), runs), np.nan)
-    for name in telling:
-        i, variance = sensors.index(name), trip.told[name][1:] ** 2
+    for name, variance in variances.items():
+        i = sensors.index(name)
         out[:, i, i] = variance[:, None]
-        for other in telling:
+        for other in variances:
             j = sensors.index(other)
             if i != j:
-                out[:, i, j] = np.where(np.isnan(trip.told[other][1:] * variance), np.nan, 0.0)[:, None]
+                out[:, i, j] = np.where(np.isnan(variances[other] * variance), np.nan, 0.0)[:, None]
     return out
 
 
@@ -226,10 +264,3 @@ def _stride(count: int) -> int:
     """A step through `count` places that meets each of them once, any few evenly spread (golden section)."""
     near = range(1, count + 1)
     return min((step for step in near if gcd(step, count) == 1), key=lambda step: abs(step - 0.618 * count))
-
-
-def _held(values: Array) -> Array:
-    """Missing readings (N, S) filled with the last one before them, or with the first one there is."""
-    there = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(there, np.arange(len(values))[:, None], there.argmax(axis=0)), axis=0)
-    return np.nan_to_num(np.take_along_axis(values, last, axis=0))

@@ -15,14 +15,17 @@ import numpy as np
 from ..arrays import Array, Index
 from ..errors import InputError, Unsupported
 from ..model import DesignModel
+from ..railway.dynamics import slope_grid
+from ..railway.odometer import Odometer, slip_modes
 from ..randomness import Streams
 from ..schema import ScenarioConfig
 from ..setting import Outcome, Quantity, Setting
 from ..world import Sensing, Trajectory, World
 from .config import RecordedConfig
 from .recording import Recording
-from .ride import ride, together
-from .told import Drive, Kinematics, Knowledge
+from .ride import INPUTS, ride, together
+from .told import Drive, Kinematics, Knowledge, WheelKnowledge
+from .wheels import WHEELS
 
 
 class Recorded(Setting[RecordedConfig]):
@@ -30,8 +33,9 @@ class Recorded(Setting[RecordedConfig]):
 
     kind: ClassVar[str] = "recorded"
     Config: ClassVar[type[ScenarioConfig]] = RecordedConfig
-    files: ClassVar[tuple[str, ...]] = ("recorded.toml",)
-    user_files: ClassVar[tuple[str, ...]] = ("recording", "track", "line", "train")
+    files: ClassVar[tuple[str, ...]] = ("recorded.toml", "recorded-odometry.toml")
+    user_files: ClassVar[tuple[str, ...]] = ("recording", "track", "line", "train", "balises")
+    references: ClassVar[bool] = True
     needs_file: ClassVar[str] = "plant.recording"
 
     @cached_property
@@ -59,13 +63,23 @@ class Recorded(Setting[RecordedConfig]):
             notes += [f"{name}{text[0].upper()}{text[1:]}." for text in trip.said]
             notes += [f"{name}Odd: {item.text}." for item in trip.findings
                       if item.grade == "odd" or item.reading]
+        if several and isinstance(self.config.knowledge, Knowledge):
+            notes.append("Filters of a linear form (kalman, robust-mean-square) take one trip, whose times their "
+                         "matrices are; ekf with knowledge = { shortfall = \"told\" } is the same Kalman filter.")
         trip = self.trips[0]
         notes.append(f"Reference of this recording: {trip.reference}.")
         if not all(trip.apart.values()):
             notes.append("Where the reference is a reading, errors are of what was withheld from the estimators alone: "
                          "in outages, or where readings are left out.")
-        if "position" not in trip.measured:
+        if trip.own not in trip.measured:
             notes.append("No position is recorded as a sensor: the start is the reference's.")
+        if "balise" in trip.measured:
+            passed = np.isfinite(trip.measured["balise"])
+            late = passed & np.any([np.isfinite(trip.measured[name]) for name in trip.measured if name != "balise"],
+                                   axis=0)
+            notes.append(f"{int(passed.sum())} balises are passed" + (
+                f", {int(late.sum())} of them told in a row of other readings: passed somewhere since the row before."
+                if late.any() else ", each with a time of its own."))
         if outage.place == "sweep":
             count = sum(len(outage.starts(one.time[1:])) for one in self.trips)
             notes.append(f"The outage of {outage.duration:g} s can begin at {count} samples: {count} runs try each "
@@ -73,7 +87,7 @@ class Recorded(Setting[RecordedConfig]):
         if "odometer" in trip.measured and self.odometer_step(trip):
             notes.append(f"The odometer counts in steps of {self.odometer_step(trip):g} m: it lags by half of one on "
                          "average.")
-        if "acceleration" in trip.measured:
+        if "acceleration" in trip.measured and isinstance(self.config.knowledge, Knowledge):
             notes.append("An accelerometer is recorded: --estimators ekf-accelerometer,.. uses it.")
         return notes
 
@@ -124,15 +138,18 @@ class Recorded(Setting[RecordedConfig]):
         return together(parts, which)
 
     def sensing(self) -> Sensing:
-        told: Knowledge = self.resolve_knowledge({})
-        along = np.array([float(name != "speed") for name in self.sensors])
-        deviations = np.array([getattr(told, name) for name in self.sensors])
-        return Sensing(self.sensors, deviations, (np.array([1.0, 0.0]), along))
+        told: Knowledge | WheelKnowledge = self.resolve_knowledge({})
+        along = np.array([float(name in ("position", "odometer", "balise")) for name in self.sensors])
+        return Sensing(self.sensors, np.array([told.worth(name) for name in self.sensors]),
+                       (np.array([1.0, 0.0]), along))
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
-        """See `Kinematics`. Raises Unsupported where the recording lacks what the motion told needs."""
-        told: Knowledge = self.resolve_knowledge(knowledge)
+        """See `Kinematics`, or `Odometer` where the knowledge is that of wheels. Raises Unsupported where the recording
+        lacks what the motion told needs."""
+        told: Knowledge | WheelKnowledge = self.resolve_knowledge(knowledge)
         plant, trip = self.config.plant, self.trips[0]
+        if isinstance(told, WheelKnowledge):
+            return self._odometer(told, initial_mean)
         if told.motion == "odometer" and not {"odometer", "speed"} & set(trip.measured):
             raise Unsupported("dead reckoning needs an odometer or a speed in plant.map")
         if told.motion == "accelerometer" and "acceleration" not in trip.measured:
@@ -144,6 +161,30 @@ class Recorded(Setting[RecordedConfig]):
                  else None)
         kinematics = Kinematics(told, "odometer" in self.sensors, self.config.time.period, drive)
         return kinematics.model(self.sensors, initial_mean, self.trips)
+
+    def _odometer(self, told: WheelKnowledge, initial_mean: Array) -> DesignModel:
+        """The model of `odometry` with this recording's sensors, flat where no line is given."""
+        plant, trip = self.config.plant, self.trips[0]
+        wheels = {name for name in WHEELS if name in trip.measured}
+        need = {"wheels": wheels, "minmax": {"wheel-a", "wheel-b"}}.get(told.motion, {told.motion})
+        lacking = sorted((need or {"wheel-a"}) - wheels)
+        if lacking:
+            raise Unsupported(f"motion = \"{told.motion}\" needs {' and '.join(lacking)} in plant.map")
+        if told.motion == "wheels" and "acceleration" not in trip.measured:
+            raise Unsupported("motion = \"wheels\" needs an acceleration in plant.map")
+        slope = (plant.line.slope(plant.train.rotating if plant.train else 0.0) if plant.line
+                 else slope_grid(np.zeros(1), np.zeros(1), 0.0))
+        odometer = Odometer(told, {name: told.worth(name) for name in self.sensors}, self.sampling_period, slope,
+                            len(INPUTS))
+        tells = () if told.counting else tuple(
+            name for name in self.sensors if name in (*WHEELS, "balise") or any(name in one.told for one in self.trips))
+        return odometer.model(initial_mean[:2], tells, modes=slip_modes(odometer, initial_mean[:2], tells))
+
+    def split(self, training: bool) -> dict[str, Any]:
+        """The first `plant.split` trips, or the others."""
+        first, paths = self.config.plant.split, self.config.plant.paths
+        taken = paths[:first] if training else paths[first:]
+        return {"plant.split": 0, "plant.recording": taken} if first else {}
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Where the run's outage begins, s after the recording's first row; NaN without one."""

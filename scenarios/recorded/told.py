@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from ..arrays import Array
 from ..measurement import Interval, PerRun
@@ -19,8 +19,10 @@ from ..measurement import told as told_covariance
 from ..model import Bounds, DesignModel, Linear, product
 from ..railway import dynamics as metro_plant
 from ..railway.dynamics import Forces, Slope
+from ..railway.odometer import OdometerKnowledge
 from ..schema import Strict
 from .recording import Recording
+from .wheels import WHEELS
 
 LAST = {"jerk": "acceleration", "accelerometer": "bias"}
 """The last state of a motion that has one more."""
@@ -46,7 +48,8 @@ class Knowledge(Strict):
 
     shortfall: `told`, grown by the odometer's own count (linear in the state), or `modelled`, by the state's speed
     (nonlinear). shortfall_density m^2/s, excess_density 1/s: random walks. w_bar m/s^2: bound of the acceleration.
-    position, speed, odometer: standard deviations of the sensors in m, m/s, m; bounds are three times as wide."""
+    position, speed, odometer, balise: standard deviations of the sensors in m, m/s, m, m; bounds are three times as
+    wide."""
 
     motion: Literal["acceleration", "jerk", "train", "accelerometer", "odometer"]
     shortfall: Literal["told", "modelled"]
@@ -58,7 +61,35 @@ class Knowledge(Strict):
     position: PositiveFloat
     speed: PositiveFloat
     odometer: PositiveFloat
+    balise: PositiveFloat = 1.0
     initial: Initial
+
+    def worth(self, sensor: str) -> float:
+        """A sensor's standard deviation. Raises ValueError for those of `WheelKnowledge`."""
+        if sensor in WHEELS:
+            raise ValueError(f"motion = \"{self.motion}\" knows no {sensor}: leave it out of sensors.use, or run "
+                              "recorded-odometry")
+        return getattr(self, sensor)
+
+
+class WheelKnowledge(OdometerKnowledge):
+    """The model of `odometry`: motion `wheels` (there `accelerometer`), or dead reckoning by a wheel's count.
+
+    position, speed, balise: standard deviations in m, m/s, m where sensors tell none; wheel m: of a count, beside the
+    step that it counts in; creep: micro-slip as a share of the distance."""
+
+    motion: Literal["wheels", "wheel-a", "wheel-b", "minmax"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    position: PositiveFloat
+    speed: PositiveFloat
+    balise: PositiveFloat
+    wheel: PositiveFloat
+    creep: NonNegativeFloat
+
+    def worth(self, sensor: str) -> float:
+        """A sensor's standard deviation. Raises ValueError for those of `Knowledge`."""
+        if sensor == "odometer":
+            raise ValueError("the odometer's model knows wheels alone: map the odometer as wheel-a")
+        return getattr(self, sensor.removesuffix("-a").removesuffix("-b"))
 
 
 @dataclass(frozen=True)
@@ -194,7 +225,7 @@ class Kinematics:
             row[1 if name == "speed" else 0] = 1.0
             if name == "odometer" and "shortfall" in states:
                 row[states.index("shortfall")] = -1.0
-        deviations = np.array([getattr(told, name) for name in sensors])
+        deviations = np.array([told.worth(name) for name in sensors])
         R, start = np.diag(deviations**2), np.array([getattr(told.initial, name) for name in states])
         start[1] = max(start[1], *(_pace_sd(trip, told.position) for trip in trips))
         observe = C[:, :, None]

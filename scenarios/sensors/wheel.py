@@ -18,7 +18,7 @@ class Wheel(Strict):
     """diameter m, as nominal; pulses per turn; diameter_error: the true one is larger by a share uniform within +-
     this, per axle and run; phase: the counter starts within [least, most] of a pulse.
 
-    creep: what the sensor tells of micro-slip, a standard deviation as a share of the speed; quiet s, quiet_sd m/s:
+    creep: what the sensor tells of micro-slip, a standard deviation as a share of the distance; quiet s, quiet_sd m/s:
     what it tells after so long a stand without pulses."""
 
     diameter: PositiveFloat
@@ -46,11 +46,16 @@ class Wheel(Strict):
         """Distance (K, n, S) m by the nominal diameter in each step."""
         return self.pulse * np.diff(counts, axis=0, prepend=0.0)
 
-    def variance(self, speed: Array, standing: Mask, period: float) -> Array:
-        """What the sensor tells of its speed readings (K, n, S) m/s: quantisation of the count's difference, creep;
-        after a stand (standing (K, S)) without pulses for `quiet` seconds less."""
-        noise = (self.pulse / np.sqrt(6.0) / period) ** 2 + (self.creep * speed) ** 2
-        still = (speed == 0.0) & standing[:, None]
-        steps = np.arange(len(speed))[:, None, None]
+    def variance(self, distance: Array, standing: Mask, period: float) -> Array:
+        """What the sensor tells of the distances (K, n, S) m of its steps, m^2: see `rolled`; after a stand (standing
+        (K, S)) without pulses for `quiet` seconds less."""
+        noise = rolled(distance, self.pulse, self.creep)
+        still = (distance == 0.0) & standing[:, None]
+        steps = np.arange(len(distance))[:, None, None]
         since = steps - np.maximum.accumulate(np.where(still, -1, steps), axis=0)
-        return np.where(still & (since * period > self.quiet), self.quiet_sd**2, noise)
+        return np.where(still & (since * period > self.quiet), (self.quiet_sd * period)**2, noise)
+
+
+def rolled(distance: Array, pulse: float, creep: float) -> Array:
+    """Variance, m^2, of distances (m) between two counts: the counter's step, and micro-slip as a share."""
+    return pulse**2 / 6.0 + (creep * distance) ** 2

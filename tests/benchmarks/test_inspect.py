@@ -40,7 +40,8 @@ def mapping(said: str) -> dict:
 def test_examples_are_shipped_and_are_what_their_script_makes(tmp_path, capsys, monkeypatch):
     write_examples(tmp_path)
     shipped = files("railstate.scenarios.recorded") / "examples"
-    assert sorted(item.name for item in shipped.iterdir()) == ["fixes.csv", "track.geojson", "tram.csv"]
+    assert sorted(item.name for item in shipped.iterdir()) == ["balises.csv", "fixes.csv", "metro.csv", "track.geojson",
+                                                                "tram.csv"]
     for item in shipped.iterdir():
         assert item.read_text() == (tmp_path / item.name).read_text(), item.name
     (tmp_path / "mine").mkdir()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from railstate.estimators.interface import Estimator
 from railstate.estimators.multiple_model.hypotheses import InteractingModels
@@ -19,6 +21,7 @@ from railstate.scenarios.model import DesignModel, Mode, Modes
 from railstate.scenarios.randomness import Streams
 
 from ..models import heard, whole
+from ..recordings import METRO, write_examples
 
 
 def odometry(runs: int = 2, variant: str = "wet-radar") -> tuple[Any, DesignModel]:
@@ -41,7 +44,7 @@ def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.n
         gone, total = 0.0, 0.0
         for number, event in enumerate(step.events):
             share = float(np.broadcast_to(event.share, (world.truth.shape[2],))[run])
-            interval = Interval(k + 1, step.start + gone * 0.1, 0.1 * share, share)
+            interval = Interval(k + 1, step.start + gone * step.length, step.length * share, share)
             if share > 0:
                 power = (vectors * values**share) @ np.linalg.inv(vectors)
                 mixed = w @ power
@@ -60,7 +63,7 @@ def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.n
                 got = np.flatnonzero(event.received[:, run])
                 if len(got):
                     told = Measurement(event.y[:, run:run + 1], event.received[:, run:run + 1], k + 1, number,
-                                       0.0, event.covariance[:, :, run:run + 1])
+                                       0.0, event.covariance[:, :, [run % event.covariance.shape[2]]])
                     H = one.measurement_jacobian(x[j], k + 1)[got, :, 0]
                     R = one.measurement_covariance(told)[np.ix_(got, got)][:, :, 0]
                     e = event.y[got, run] - one.measurement(x[j], k + 1)[got, 0]
@@ -86,7 +89,8 @@ def follow(estimator: Estimator, model: DesignModel, world: Any, steps: int) -> 
     for k in range(steps):
         step, gone, log = world.step(k, world.initial_mean), 0.0, np.zeros(runs)
         for number, event in enumerate(step.events):
-            estimator.predict(step.u, Interval(k + 1, step.start + gone * 0.1, event.share * 0.1, event.share))
+            estimator.predict(step.u, Interval(k + 1, step.start + gone * step.length, event.share * step.length,
+                                                event.share))
             gone = gone + event.share
             found = estimator.update(Measurement(event.y, event.received, k + 1, number, 0.0, event.covariance))
             log = log + (found.log_likelihood if found is not None and found.log_likelihood is not None else 0.0)
@@ -95,10 +99,24 @@ def follow(estimator: Estimator, model: DesignModel, world: Any, steps: int) -> 
     return np.array(means), np.array(logs)
 
 
-def test_it_is_the_textbook_s_loop() -> None:
-    """Odometry with slip modes over the start, the first balise and a low stretch: mean and log-likelihood."""
-    world, model = odometry()
-    steps = 420
+def recorded(folder: Path) -> tuple[Any, DesignModel]:
+    """A recorded trip with wheels and balises, irregular in time, missed counts in it."""
+    write_examples(folder)
+    table = pd.read_csv(folder / "metro.csv")
+    table.loc[60:64, ["wheel_a_m", "wheel_b_m"]] = np.nan
+    table.to_csv(folder / "metro.csv", index=False)
+    setting = load("recorded-odometry", {
+        "plant.recording": str(folder / "metro.csv"), "plant.balises": str(folder / "balises.csv"),
+        "plant.map": METRO}).setting("wheels")
+    world = setting.world(Streams(1, "recorded-odometry", "wheels", range(2)))
+    return world, setting.design_model({}, world.initial_mean)
+
+
+@pytest.mark.parametrize("kind", ["odometry", "recorded"])
+def test_it_is_the_textbook_s_loop(kind: str, tmp_path: Path) -> None:
+    """Slip modes over the start, balises and a low stretch: mean and log-likelihood."""
+    world, model = odometry() if kind == "odometry" else recorded(tmp_path)
+    steps = min(420, world.steps)
     means, logs = follow(InteractingModels(), model, world, steps)
     for run in range(2):
         wanted, wanted_logs = textbook(model, world, run, steps)

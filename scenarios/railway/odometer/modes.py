@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Array
-from ..model import Mode, Modes
-from .told import Odometer
+from ...arrays import Array
+from ...model import Mode, Modes
+from .model import Odometer
 
 
-def slip_modes(odometer: Odometer, initial_mean: Array, sensors: Sequence[str], tells: tuple[str, ...]) -> Modes | None:
+def slip_modes(odometer: Odometer, initial_mean: Array, tells: tuple[str, ...]) -> Modes | None:
     """Every combination of slipping axles, none first; axles slip and recover independently of each other.
 
     None where nothing could slip: dead reckoning, or no wheels measured."""
-    wheels = [name for name in sensors if name.startswith("wheel-")]
-    if odometer.told.motion != "accelerometer" or not wheels:
+    wheels = odometer.wheels
+    if odometer.told.counting or not wheels:
         return None
     slip, period = odometer.told.slip, odometer.period
     modes, transition = [], np.ones((1, 1))

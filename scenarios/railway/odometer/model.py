@@ -1,0 +1,244 @@
+"""What odometry estimators are told: motion by the accelerometer or by wheel counts, and what each sensor is worth.
+
+Dead reckoning takes distance and speed from the counts it hears; the others carry bias and scales as states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat
+
+from ...arrays import Array, Mask
+from ...measurement import Interval, Measurement, told
+from ...model import DesignModel
+from ...schema import Strict
+from ..dynamics import Slope
+from . import motion as compiled
+from .motion import BIAS, TRAVELLED, S, V
+
+INPUTS = ("reading", "effort", "begins", "distance-a", "distance-b", "speed-a", "speed-b")
+"""The inputs told of each step: the accelerometer's reading m/s^2 (the gradient's pull in it), what drives (> 0) or
+brakes, whether the wheels were read where the step begins, distance m by each wheel's count in the step, its mean speed
+of late m/s. A setting may have more behind them."""
+READING, EFFORT, BEGINS, DISTANCE_A, DISTANCE_B, SPEED_A, SPEED_B = range(7)
+PLACES = ("position", "balise", "gnss")
+"""Measurements of the position; `wheel-..` is what a wheel has rolled since it was last read, m, the others speeds."""
+
+
+class Initial(Strict):
+    """Standard deviations of the start: position m, speed m/s, accelerometer's bias m/s^2, the scale of each wheel and
+    of the radar."""
+
+    position: PositiveFloat
+    speed: PositiveFloat
+    bias: PositiveFloat
+    scale: PositiveFloat
+    radar: PositiveFloat = 0.005
+
+
+class Slip(Strict):
+    """Each axle's slip as a mode: enter, leave 1/s; sd m/s of a slipping axle's reading."""
+
+    enter: PositiveFloat
+    leave: PositiveFloat
+    sd: PositiveFloat
+
+
+class OdometerKnowledge(Strict):
+    """motion: `accelerometer` (or what else a setting calls it), or dead reckoning by a wheel's count: `wheel-a`,
+    `wheel-b`, or `minmax`: braking the faster, in traction the slower, else their mean.
+
+    acceleration m/s^2: standard deviation of the reading's noise over 0.1 s. bias_walk m/s^2, scale_walk: random walks,
+    per sqrt(s). gnss_inflation: factor on the standard deviation that a satellite receiver tells. slip: for filters of
+    modes."""
+
+    motion: str
+    acceleration: PositiveFloat
+    bias_walk: NonNegativeFloat
+    scale_walk: NonNegativeFloat
+    gnss_inflation: PositiveFloat = 1.0
+    slip: Slip
+    initial: Initial
+
+    @property
+    def counting(self) -> bool:
+        """Whether it is dead reckoning."""
+        return self.motion in ("wheel-a", "wheel-b", "minmax")
+
+
+@dataclass(frozen=True)
+class Odometer:
+    """The model's functions for given knowledge. deviations: by measurement in their order, what each is worth where it
+    tells nothing itself. period s: the usual step; parts of a step need steps of just this length. inputs: how many
+    inputs stand before `INPUTS`. whole: what `_clock` says of usual steps, by the number of runs."""
+
+    told: OdometerKnowledge
+    deviations: Mapping[str, float]
+    period: float
+    slope: Slope
+    inputs: int = 0
+    whole: dict[int, tuple[Array, Mask]] = field(default_factory=dict)
+
+    @cached_property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the measurements in their order."""
+        return tuple(self.deviations)
+
+    @cached_property
+    def wheels(self) -> tuple[str, ...]:
+        """The wheels among them."""
+        return tuple(name for name in self.deviations if name.startswith("wheel-"))
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states in their order."""
+        if self.told.counting:
+            return "position", "speed"
+        return "position", "speed", "bias", "travelled", *self._scales
+
+    @property
+    def _scales(self) -> tuple[str, ...]:
+        scaled = (*self.wheels, *(["radar"] if "radar" in self.deviations else []))
+        return tuple(f"scale-{name.removeprefix('wheel-')}" for name in scaled)
+
+    def _clock(self, interval: Interval, runs: int) -> tuple[Array, Mask]:
+        """Length s, whether it is the whole of its step; (S,) each."""
+        usual = isinstance(interval.length, float) and interval.share == 1.0 and interval.length == self.period
+        if usual and runs in self.whole:
+            return self.whole[runs]
+        length = np.array(np.broadcast_to(np.asarray(interval.length, dtype=float), (runs,)))
+        whole = np.array(np.broadcast_to(np.asarray(interval.share) == 1.0, (runs,)))
+        if usual:
+            self.whole[runs] = length, whole
+        return length, whole
+
+    def _fresh(self, u: Array, interval: Interval, whole: Mask) -> Mask:
+        """Whether what wheels have rolled starts anew where the interval begins (S,)."""
+        begins = u[BEGINS, :len(whole)] > 0
+        if isinstance(interval.share, float) and interval.share == 1.0:
+            return begins
+        since = np.asarray(interval.start) - interval.depart * self.period
+        return begins & (whole | (since < 1e-6 * self.period))
+
+    def transition(self, x: Array, u: Array, interval: Interval) -> Array:
+        """x+ (nx, .., S) at the end of the interval; u (nu, S): see `INPUTS`."""
+        u = u[self.inputs:]
+        if self.told.counting:
+            return self._counted(x, u, interval)
+        points = np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], -1, x.shape[-1])
+        out = np.empty_like(points)
+        length, whole = self._clock(interval, x.shape[-1])
+        compiled.transition(points, np.ascontiguousarray(u[READING]), length, self._fresh(u, interval, whole),
+                            self.slope, out)
+        return out.reshape(x.shape)
+
+    def _counted(self, x: Array, u: Array, interval: Interval) -> Array:
+        """Position and speed by the wheels' counts."""
+        out = np.array(x, dtype=float)
+        a, b, motion = u[SPEED_A], u[SPEED_B], self.told.motion
+        counted = np.asarray(u[DISTANCE_A]), np.asarray(u[DISTANCE_B])
+        if motion == "minmax":
+            effort = u[EFFORT]
+            first = np.where(effort < 0, a >= b, a <= b)
+            speed = np.where(effort == 0, 0.5 * (a + b), np.where(first, a, b))
+            distance = np.where(effort == 0, 0.5 * (counted[0] + counted[1]), np.where(first, *counted))
+        else:
+            speed, distance = (a, counted[0]) if motion == "wheel-a" else (b, counted[1])
+        share, moves = np.asarray(interval.share, dtype=float), np.asarray(interval.length) > 0
+        out[0] = np.where(moves, out[0] + share * distance, out[0])
+        out[1] = np.where(moves, speed, out[1])
+        return out
+
+    def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
+        """df/dx (nx, nx, S), (nx, nx, 1) over whole steps that all runs share."""
+        runs = 1 if isinstance(interval.length, float) and interval.share == 1.0 else x.shape[1]
+        length, whole = self._clock(interval, runs)
+        out = np.empty((len(self.states), len(self.states), runs))
+        if self.told.counting:
+            out[:] = np.eye(2)[:, :, None]
+            out[1, 1] = np.where(length > 0, 0.0, 1.0)
+            return out
+        compiled.jacobian(length, self._fresh(u[self.inputs:], interval, whole), out)
+        return out
+
+    def covariance(self, x: Array, u: Array, interval: Interval) -> Array:
+        """Q (nx, nx, S or 1)."""
+        if self.told.counting:
+            return np.zeros((2, 2, 1))
+        length, whole = self._clock(interval, x.shape[1] if np.ndim(interval.length) else 1)
+        out = np.empty((len(self.states), len(self.states), len(length)))
+        compiled.covariance(length, whole, 0.1 * self.told.acceleration**2, self._walks, out)
+        return out
+
+    @cached_property
+    def _walks(self) -> Array:
+        """Random walks of the states (nx,), per sqrt(s)."""
+        walks = np.zeros(len(self.states))
+        walks[BIAS], walks[TRAVELLED + 1:TRAVELLED + 1 + len(self.wheels)] = self.told.bias_walk, self.told.scale_walk
+        return walks
+
+    @cached_property
+    def _rows(self) -> tuple[tuple[int, int], ...]:
+        """For each sensor the state that it reads, and that of its scale, -1 for none. Dead reckoning reads no wheels:
+        their counts are its inputs."""
+        def row(name: str) -> tuple[int, int]:
+            scale = f"scale-{name.removeprefix('wheel-')}"
+            wheel = name in self.wheels and not self.told.counting
+            return (S if name in PLACES else TRAVELLED if wheel else V,
+                    self.states.index(scale) if scale in self.states else -1)
+
+        return tuple(row(name) for name in self.sensors)
+
+    def measurement(self, x: Array, step: int) -> Array:
+        """What the sensors would read (ny, .., S)."""
+        return np.stack([x[moved] if scale < 0 else (1 + x[scale]) * x[moved] for moved, scale in self._rows])
+
+    def measurement_jacobian(self, x: Array, step: int) -> Array:
+        """dh/dx (ny, nx, S)."""
+        out = np.zeros((len(self.sensors), len(self.states), x.shape[1]))
+        for row, (moved, scale) in zip(out, self._rows, strict=True):
+            row[moved] = 1.0
+            if scale >= 0:
+                row[moved], row[scale] = 1 + x[scale], x[moved]
+        return out
+
+    def noise(self, slipping: tuple[str, ...] = ()) -> Any:
+        """R(measurement): as told; of slipping axles that of the mode, of satellites with the inflation."""
+        own = np.diag(np.array([*self.deviations.values()]) ** 2)[:, :, None]
+        plain = told(lambda step: own)
+        factor = {i: self.told.gnss_inflation**2 for i, name in enumerate(self.sensors) if name in ("gnss", "position")}
+        slip = {i: (self.told.slip.sd * self.period) ** 2 for i, name in enumerate(self.sensors) if name in slipping}
+
+        def covariance(measurement: Measurement) -> Array:
+            R = plain(measurement)
+            if slip or any(f != 1.0 for f in factor.values()):
+                R = R.copy()
+                for i, f in factor.items():
+                    R[i, i] *= f
+                for i, variance in slip.items():
+                    R[i, i] = variance
+            return R
+
+        return covariance
+
+    def model(self, initial_mean: Array, tells: tuple[str, ...], slipping: tuple[str, ...] = (),
+              **parts: Any) -> DesignModel:
+        """The design model; initial_mean (2 or more, S): position and speed, then all else, 0 where it ends; slipping:
+        the axles that slip in it."""
+        start = self.told.initial
+        sd = {"position": start.position, "speed": start.speed, "bias": start.bias,
+              "travelled": start.speed * self.period, "scale-radar": start.radar}
+        mean = np.zeros((len(self.states), initial_mean.shape[1]))
+        known = min(len(mean), len(initial_mean))
+        mean[:known] = initial_mean[:known]
+        return DesignModel(
+            states=self.states, measurements=self.sensors, period=self.period, transition=self.transition,
+            measurement=self.measurement, transition_jacobian=self.jacobian,
+            measurement_jacobian=self.measurement_jacobian, process_covariance=self.covariance,
+            measurement_covariance=self.noise(slipping), initial_mean=mean,
+            initial_covariance=np.diag([sd.get(name, start.scale) ** 2 for name in self.states])[:, :, None],
+            tells=tells, **parts)
