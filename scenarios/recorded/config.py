@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from math import nan
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from ..arrays import Array
 from ..channels import Channel, Ideal
@@ -27,7 +27,7 @@ Span = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 class Plant(Strict):
     """recording: path of a recorded trip, CSV or another of the formats that are read, or a list of several trips'
     paths, of which `trips` says whether a run draws one or the runs go through them in turn; tuning takes the first
-    `split` of them and shows what it found on the others (0: all). map: role -> column with
+    `split` of them and shows what it found on the others. map: role -> column with
     its unit (`t_s`, `t [s]`, `t (s)`); roles: time, position (or latitude and longitude), speed, odometer,
     acceleration, control (the share of the greatest force asked for from that time on), wheel-a, wheel-b (what each
     axle's sensor has counted), balise (the place of the one passed, or its name), reference_position, reference_speed,
@@ -44,7 +44,7 @@ class Plant(Strict):
     kind: Literal["recorded"]
     recording: str | Annotated[list[str], Field(min_length=1)] | None = None
     trips: Literal["turn", "draw"] = "turn"
-    split: NonNegativeInt = 0
+    split: PositiveInt | None = None
     map: dict[str, str] = {}
     missing: list[float | str] = []
     quality: dict[str, PositiveFloat | Literal["missing"]] = {}
@@ -90,7 +90,7 @@ class Plant(Strict):
     def _readable(self) -> Plant:
         if any(begin >= end for begin, end in [*self.without, *([self.span] if self.span else [])]):
             raise ValueError("span = [from, to] and without = [[from, to], ..] need from < to")
-        if self.split >= max(len(self.paths), 1):
+        if self.split and self.split >= len(self.paths):
             raise ValueError(f"split = {self.split} leaves none of the {len(self.paths)} recordings to show on")
         for trip in self.recorded():
             wrong = [item.text for item in trip.findings if item.grade == "impossible" and not item.reading]

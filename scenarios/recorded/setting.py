@@ -184,7 +184,7 @@ class Recorded(Setting[RecordedConfig]):
         """The first `plant.split` trips, or the others."""
         first, paths = self.config.plant.split, self.config.plant.paths
         taken = paths[:first] if training else paths[first:]
-        return {"plant.split": 0, "plant.recording": taken} if first else {}
+        return {"plant.split": None, "plant.recording": taken} if first else {}
 
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Where the run's outage begins, s after the recording's first row; NaN without one."""
