@@ -5,7 +5,7 @@ Settings are plug-ins of the entry-point group `railstate.scenarios`; their scen
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -35,6 +35,22 @@ class Quantity:
     mean: bool = True
     shown: tuple[str, float] | None = None
     referenced: bool = True
+
+
+@dataclass(frozen=True)
+class Matched:
+    """What bounds every estimator's error: a design model with the truth's own noise, for a Riccati recursion with its
+    Jacobians at the truth.
+
+    kind: `floor` where all noise is Gaussian, so that no estimator does better; `linear optimum` where some is not and
+    the model has its moments: no linear estimator does better, another may. The model's functions are asked at the
+    truth vector (its first states; what it has besides is 0). outward(truth) (nt, nx, S or 1): the truth vector's
+    error by the model's states; None: they are its first. beyond (nt,): variance that no state carries."""
+
+    model: DesignModel
+    kind: str = "floor"
+    outward: Callable[[Array], Array] | None = None
+    beyond: Array | None = None
 
 
 Outcome = tuple[str, str, str]
@@ -91,6 +107,11 @@ class Setting(ABC, Generic[ConfigT]):
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """What an estimator is told. `knowledge` overrides the scenario's [knowledge] for this estimator (already
         validated by `resolve_knowledge`); initial_mean (nx, S) as the world hands it out."""
+
+    def matched(self, runs: int) -> Matched | None:
+        """The model from which the least possible error of so many runs follows; None where none is known: where the
+        truth's noise has no moments that a model of a few states has, or readings do not arrive as they were sent."""
+        return None
 
     def sensing(self) -> Sensing | None:
         """The sensors, for faults and for channels that look at the readings; None where the setting takes no

@@ -17,6 +17,8 @@ from ..scoring.columns import metric_columns
 
 ERRORS = ("rmse", "mae", "sum-squared", "max", "final")
 """Metrics that are judged; the first a scenario's table shows of a quantity speaks for the quantity."""
+FLOORS = ("floor", "efficiency")
+"""Metrics of the least error possible, which stand beside an error."""
 NEGLIGIBLE = 1e-9
 """Errors under this (SI) are rounding: equal to each other, and no quantity to win by."""
 KALMAN_PLUGINS = ("kalman", "ekf", "ukf", "ckf")

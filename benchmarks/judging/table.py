@@ -15,20 +15,19 @@ from ..scoring.columns import metric_columns, shown_unit
 from ..store.folder import Store
 from . import claims
 from . import statistics as st
-from .family import LEAST, Draws, Family, compare_all, eligible
-from .selection import ERRORS, NEGLIGIBLE, Aligned, Column, apart, cells, judged_columns, yardsticks
+from .family import Draws, compare_all, eligible
+from .floors import floor_lines, floored
+from .judged import Judged, Line, notes
+from .selection import ERRORS, FLOORS, NEGLIGIBLE, Aligned, Column, apart, cells, judged_columns, yardsticks
 
 VERDICT_COLUMNS = (
     "scenario", "variant", "kind", "metric", "quantity", "unit", "shown_unit", "factor", "estimator", "value", "low",
     "high", "standard_error", "runs", "lost", "against", "ratio", "ratio_low", "ratio_high", "won", "verdict",
-    "eligible", "family", "deciding", "median", "inside", "note")
+    "eligible", "family", "deciding", "median", "inside", "floor", "efficiency", "floor_kind", "note")
 """Columns of verdicts.parquet and verdicts.csv; the README says what each holds."""
 TEXTS = ("scenario", "variant", "kind", "metric", "quantity", "unit", "shown_unit", "estimator", "against", "verdict",
-         "note")
-RARE, CARRIED = 200, 0.2
-"""Under RARE runs rare events may be missing; one run carrying more than CARRIED of a mean is said."""
+         "floor_kind", "note")
 STATUSES = ("diverged", "failed", "crashed", "timeout", "infeasible")
-Line = dict[str, Any]
 
 
 def verdicts(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> pd.DataFrame:
@@ -52,7 +51,7 @@ def verdicts_of(store: Store) -> pd.DataFrame:
 def framed(lines: Sequence[Line]) -> pd.DataFrame:
     """Lines as a table of `VERDICT_COLUMNS`; numbers that a line lacks are NaN, texts empty."""
     table = pd.DataFrame(list(lines), columns=list(VERDICT_COLUMNS))
-    table[list(TEXTS)] = table[list(TEXTS)].fillna("")
+    table[list(TEXTS)] = table[list(TEXTS)].astype(object).fillna("")
     table["eligible"] = table["eligible"].fillna(True).astype(bool)
     for name in ("runs", "lost", "family"):
         table[name] = table[name].fillna(0).astype(int)
@@ -66,6 +65,7 @@ class Cell:
 
     def __init__(self, key: str, aligned: Aligned, about: Mapping[str, Any], apart: Mapping[str, str]) -> None:
         self.key, self.aligned, self.about, self.apart = key, aligned, about, apart
+        self.scenario, self.variant = key.split("/")[:2]
         self.draws = Draws(key, aligned.runs)
         self.labels, self.n = aligned.labels, aligned.runs
         self.lost = aligned.lost
@@ -74,7 +74,10 @@ class Cell:
         """All that is said of the cell."""
         for column in judged:
             yield from self._errors(column, references)
-        yield from self._values([c for c in metric_columns(self.aligned.part) if c not in judged])
+        yield from self._values([c for c in metric_columns(self.aligned.part)
+                                 if c not in judged and c[1] not in FLOORS])
+        for column, label, facts in floor_lines(self.aligned):
+            yield self._line("value", column, label, **facts)
         yield from self._claims()
         yield from self._requirements()
         yield from self._reliability()
@@ -95,11 +98,10 @@ class Cell:
             yield {**first, "verdict": "reference"}, {**second, "verdict": word, "against": a}
 
     def _line(self, kind: str, column: Column, label: str, **facts: Any) -> Line:
-        scenario, variant = self.key.split("/")[:2]
         _, metric, quantity, unit = column
         name, factor = shown_unit(self.about, metric, quantity, unit)
-        return {"scenario": scenario, "variant": variant, "kind": kind, "metric": metric, "quantity": quantity,
-                "unit": unit, "shown_unit": name, "factor": factor, "estimator": label,
+        return {"scenario": self.scenario, "variant": self.variant, "kind": kind, "metric": metric,
+                "quantity": quantity, "unit": unit, "shown_unit": name, "factor": factor, "estimator": label,
                 "lost": int(self.lost[self.labels.index(label)].sum()), **facts}
 
     # -- errors ----------------------------------------------------------------------------------------------------
@@ -112,15 +114,17 @@ class Cell:
         told: dict[int, Judged] = {}
         for group in filter(None, groups):
             told.update(dict.fromkeys(group, self._judged(values, group, power)))
+        kind = self.about["variants"][self.variant].get("floor", "")
         for i, label in enumerate(self.labels):
             shown = _shown(found, i)
             if i in told:
-                yield self._line("error", column, label, **shown, **told[i].against_best(i, self.labels))
+                line = self._line("error", column, label, **shown, **told[i].against_best(i, self.labels))
             elif some[i]:
-                yield self._line("error", column, label, **shown, verdict="oracle", note=notes(values[i], self.n))
+                line = self._line("error", column, label, **shown, verdict="oracle", note=notes(values[i], self.n))
             else:
-                yield self._line("error", column, label, **shown, eligible=False,
-                                 verdict="lost" if self.lost[i].all() else "none")
+                line = self._line("error", column, label, **shown, eligible=False,
+                                  verdict="lost" if self.lost[i].all() else "none")
+            yield floored(line, self.aligned, i, kind)
         for reference in references:
             j = self.labels.index(reference) if reference in self.labels else -1
             for i in told[j].members if j in told else ():
@@ -178,7 +182,7 @@ class Cell:
     def _requirements(self) -> Iterator[Line]:
         """What the scenario asks for: met, not met, or undecided and by about how many runs it would be decided. A lost
         run has not kept it; who claims nothing that is asked about has no line."""
-        for asked in self.about["variants"][self.key.split("/")[1]].get("requirements", ()):
+        for asked in self.about["variants"][self.variant].get("requirements", ()):
             metric, name = "kept" if asked["per"] == "runs" else "inside", asked["name"]
             column = f"{metric}:{name}:1"
             if column not in self.aligned:
@@ -261,80 +265,6 @@ def averaged(values: Array, metric: str, *, exact: bool = False) -> tuple[Array,
     if metric == "rmse":
         return values**2, 0.5, st.rooted(st.hall(values**2, positive=True))
     return values, 1.0, st.hall(values, positive=True)
-
-
-class Judged:
-    """A family with its best. members: places in the cell; values (k of the cell, n)."""
-
-    def __init__(self, members: Sequence[int], family: Family, values: Array, fine: Mask) -> None:
-        self.members, self.family, self.values = members, family, values
-        self.fine = dict(zip(members, fine.tolist(), strict=True))
-        self.place = {member: place for place, member in enumerate(members)}
-        self.best = min((i for i in members if self.fine[i]), key=lambda i: family.value[self.place[i]])
-
-    def against_best(self, i: int, labels: Sequence[str]) -> Line:
-        """The verdict of member i. Who lost more runs than equals would is not eligible: never best, tie or undecided,
-        and drawn as lost even where its errors alone are called worse."""
-        about = notes(self.values[i], self.family.runs)
-        if i == self.best:
-            return {"verdict": "best", "ratio": 1.0, "ratio_low": 1.0, "ratio_high": 1.0, "against": labels[i],
-                    "family": len(self.members), "note": about}
-        facts = self.facts(i, self.best)
-        if facts["verdict"] == "better":  # only by its runs: the best has the least value of all that are eligible
-            facts["verdict"] = "undecided"
-        if not self.fine[i] and facts["verdict"] != "worse":
-            facts["verdict"], facts["deciding"] = "lost", np.nan
-        return {**facts, "against": labels[self.best], "eligible": self.fine[i],
-                "note": "; ".join(filter(None, [facts["note"], about]))}
-
-    def facts(self, i: int, j: int) -> Line:
-        """Member i against j: ratio with its simultaneous interval, share of runs won, verdict."""
-        a, b = self.place[i], self.place[j]
-        word = self.family.verdict(a, b)
-        ratio, half = self.family.log_ratio[a, b], self.family.half[a, b]
-        if not np.isfinite(ratio):  # one of them has no error, or both
-            ratio, half = 0.0 if np.isnan(ratio) else ratio, 0.0
-        found = np.exp([ratio, ratio - half, ratio + half])
-        won = _won(self.values[i], self.values[j])
-        remarks = []
-        if word == "undecided" and (ratio - half > 0 and self.family.tails[a, b]):
-            remarks.append("tails differ")
-        if (ratio > 0) == (won > 0.5) and won != 0.5 and _most(self.values[i], self.values[j]):
-            side = "smaller" if won > 0.5 else "larger"
-            remarks.append(f"{side} error in {100 * max(won, 1 - won):.0f} % of the runs")
-        return {"ratio": found[0], "ratio_low": found[1], "ratio_high": found[2], "won": won, "verdict": word,
-                "family": len(self.members), "note": "; ".join(remarks),
-                "deciding": self.family.deciding(a, b) if word == "undecided" and np.isfinite(ratio) else np.nan}
-
-
-def _won(a: Array, b: Array) -> float:
-    """Share of the runs where a is smaller than b; equal runs count half, a lost run is larger than any."""
-    a, b = np.nan_to_num(a, nan=np.inf), np.nan_to_num(b, nan=np.inf)
-    return float(((a < b) + 0.5 * (a == b)).mean())
-
-
-def _most(a: Array, b: Array) -> bool:
-    """Whether the runs that a wins and those that it loses are not by chance so many (Wilcoxon's test of the logs)."""
-    both = np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)
-    if both.sum() < LEAST:
-        return False
-    from scipy.stats import wilcoxon
-
-    gap = np.log(a[both]) - np.log(b[both])
-    return bool(gap.any()) and float(wilcoxon(gap).pvalue) < st.ALPHA
-
-
-def notes(values: Array, n: int) -> str:
-    """What a few runs carry, and what so few cannot have seen."""
-    known = st.finite(values)
-    out = []
-    if known.size >= LEAST // 2 and known.max() > CARRIED * known.sum() > 0:
-        out.append(f"one run carries {100 * known.max() / known.sum():.0f} % of the mean")
-    if n < LEAST:
-        out.append(f"under {LEAST} runs there is no verdict")
-    elif n < RARE:
-        out.append("events rarer than 3/n of the runs may not have been seen")
-    return "; ".join(out)
 
 
 SUMMARY_COLUMNS = ("scenario", "variant", "estimator", "metric", "quantity", "unit", "mean", "standard_error", "runs")

@@ -19,6 +19,7 @@ from ...scenarios.schema import Augment
 from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
 from ..scoring.faults import FaultScores
+from ..scoring.floor import Floor, Riccati, basis
 from ..scoring.innovations import InnovationScore
 from ..scoring.requirements import RequirementScores
 from ..scoring.scorer import Scored, Scorer
@@ -31,7 +32,7 @@ Watch = Callable[[int, Estimate, Step], None]
 @dataclass(frozen=True)
 class Driven:
     """Outcome of a drive. seconds: time inside the estimator; scoring: time spent on scores and kept trajectories;
-    steps (S,): how many steps each run was under way."""
+    steps (S,): how many steps each run was under way; floor: the least errors possible, where they are known."""
 
     scored: Scored
     outcomes: dict[tuple[str, str, str], Array]
@@ -39,6 +40,7 @@ class Driven:
     scoring: float
     steps: Array
     world: World
+    floor: Floor | None
 
 
 class _Scoring(Observer):
@@ -57,12 +59,16 @@ class _Scoring(Observer):
         self.predicted_wanted = score.at == "prediction" and estimator.predicts
         self.updated_wanted = not self.predicted_wanted
         self.faults, self.estimator = FaultScores(setting.config.faults, setting.quantities(), self.runs), estimator
+        found = basis(setting, self.runs) if world.closed_loop else None
+        self.riccati = Riccati(setting, found, world, self.predicted_wanted) if found else None
         self.k, self.good = 0, tuple[Any, ...]()
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
         begun, k = perf_counter(), self.k
         self.scorer.add(k, self._checked(estimate, step), step)
         self.faults.add(estimate, step)
+        if self.riccati:
+            self.riccati.take(k, step)
         if k >= self.skip:
             self.windows.add(estimate, step)
             self.requirements.add(k, estimate, step)
@@ -92,8 +98,9 @@ class _Scoring(Observer):
 
 
 def drive(setting: Setting[Any], world: World, estimator: Estimator, model: DesignModel, random: RunRandom,
-          watch: Watch | None = None) -> Driven:
-    """Run a designed estimator through a world and score it as the scenario says. `watch` sees each scored step."""
+          watch: Watch | None = None, floor: Floor | None = None) -> Driven:
+    """Run a designed estimator through a world and score it as the scenario says. `watch` sees each scored step; floor:
+    of the same world in open loop; in a closed one it is the estimator's own."""
     scoring = _Scoring(setting, world, estimator, model, watch)
     runs = scoring.runs
     begun = perf_counter()
@@ -114,10 +121,13 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     found.curves["nis"], found.curves["nis-count"] = scoring.innovations.curve.T
     outcomes = {**scoring.windows.finish(), **scoring.requirements.finish(), **scoring.faults.finish(),
                 **setting.outcomes(world, found.metrics)}
+    floor = scoring.riccati.finish() if scoring.riccati else floor
+    if floor:
+        outcomes.update(floor.outcomes(found.metrics))
     outcomes.update({(name, "work", "1"): count / np.maximum(active, 1) for name, count in counts.items()})
     outcomes.update({(name, "stability", "1"): value for name, value in extremes.items()})
     outcomes = {key: np.where(bad, np.nan, value) for key, value in outcomes.items()}
-    return Driven(found, outcomes, started + loop.seconds, scoring.seconds, active, world)
+    return Driven(found, outcomes, started + loop.seconds, scoring.seconds, active, world, floor)
 
 
 def prepare(setting: Setting[Any], estimator_class: type[Estimator], parameters: Mapping[str, Any],

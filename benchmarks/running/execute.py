@@ -22,6 +22,7 @@ from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
 from ..isolation.process import clean
 from ..planning.plan import Task, own
+from ..scoring.floor import Floor, floor_of
 from .drive import Driven, drive, prepare
 from .result import Result, failed, identity, joined
 
@@ -63,7 +64,7 @@ class _Worlds:
     """The truth of a task's runs: simulated once for all estimators when open loop, anew for each when closed."""
 
     def __init__(self, setting: Setting[Any], task: Task) -> None:
-        self.setting, self.task = setting, task
+        self.setting, self.task, self.floors = setting, task, dict[bool, Floor | None]()
 
     @cached_property
     def shared(self) -> World:
@@ -78,6 +79,15 @@ class _Worlds:
         if runs == self.task.runs and not self.shared.closed_loop:
             return self.shared
         return self._make(runs)
+
+    def floor(self, world: World, positions: tuple[int, ...], predicted: bool) -> Floor | None:
+        """The least errors possible of some of the task's runs, in open loop; predicted: before the measurements."""
+        if world.closed_loop:
+            return None
+        if predicted not in self.floors:
+            self.floors[predicted] = floor_of(self.setting, self.shared, predicted)
+        found = self.floors[predicted]
+        return found if found is None or len(positions) == len(self.task.runs) else found.of(list(positions))
 
     def extras(self) -> list[pa.Table]:
         """What the figures of an open-loop setting want of the truth, for the kept runs."""
@@ -140,7 +150,9 @@ class _Block:
         estimator.design(model)
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
         self._warm_up(runs, world)
-        return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None)
+        predicted = self.setting.config.score.at == "prediction" and estimator.predicts
+        floor = self.worlds.floor(world, tuple(map(self.task.runs.index, runs)), predicted)
+        return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None, floor)
 
     def _warm_up(self, runs: tuple[int, ...], world: World) -> None:
         """Compile (or load) what this estimator needs on this plant and on so many runs before anything is timed: the

@@ -43,6 +43,6 @@ def window_columns(columns: Iterable[str], quantities: Collection[str]) -> dict[
 def shown_unit(about: Mapping[str, Any], metric: str, quantity: str, unit: str) -> tuple[str, float]:
     """(unit, factor) a value is shown in: the scenario's choice for plain errors of the quantity, else as it is."""
     chosen = about.get("shown", {}).get(quantity)
-    if chosen and metric in ("rmse", "mae", "max", "min", "final", "mean", "half-width"):
+    if chosen and metric in ("rmse", "mae", "max", "min", "final", "mean", "half-width", "floor"):
         return str(chosen[0]), float(chosen[1])
     return ("" if unit in ("1", "1^2") else unit.replace("^2", "²")), 1.0

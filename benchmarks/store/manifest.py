@@ -15,6 +15,7 @@ from ...scenarios.setting import Setting
 from ..planning.catalogue import Catalogue
 from ..planning.plan import Cell, EstimatorEntry, Plan
 from ..scoring.faults import fault_table
+from ..scoring.floor import floor_kind
 
 SCHEMA = 2
 """Version of the folder's layout and of this file's keys."""
@@ -66,11 +67,12 @@ class Configuration(_Part):
 
 
 class AboutVariant(_Part):
-    """What is told of a variant. period: s."""
+    """What is told of a variant. period: s; floor: what the least error possible is called, empty: none is known."""
 
     notes: list[Text]
     fitted: list[Text]
     requirements: list[dict[str, Any]] = []
+    floor: str = ""
     title: Text
     period: Annotated[float, Field(gt=0)]
 
@@ -186,7 +188,7 @@ def description(plan: Plan) -> dict[str, Any]:
             "shown": {**setting.shown, **{item.name: item.shown for item in setting.quantities() if item.shown}},
             "quantities": [item.name for item in setting.quantities()], "table": _table(setting), "variants": {}})
         about["variants"][cell.variant] = {"notes": setting.notes, "fitted": config.fitted, "title": config.title,
-                                           "period": setting.sampling_period,
+                                           "period": setting.sampling_period, "floor": floor_kind(setting),
                                            "requirements": [asked.model_dump() for asked in config.requirements]}
     plugins = {entry.plugin: plan.catalogue[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
     return {

@@ -11,7 +11,7 @@ from ..scoring.columns import window_columns
 from .marks import drawn
 from .rankings import Cell, records
 from .sentences import title_of
-from .wording import bracket, metric_name, number, plus_minus, ratio_interval, ratio_of, value_words
+from .wording import bracket, metric_name, number, percent, plus_minus, ratio_interval, ratio_of, value_words
 
 
 def cell_table(cell: Cell) -> pd.DataFrame:
@@ -27,6 +27,8 @@ def cell_table(cell: Cell) -> pd.DataFrame:
                 out[title_of(ranking)] = value_words(line)
                 out[f"{ranking.quantity}: ratio"] = (
                     "" if drawn(line) in ("oracle", "lost") else f"{ratio_of(line)} {ratio_interval(line)}".strip())
+                if line["efficiency"] > 0:
+                    out[f"{ranking.quantity}: eff."] = percent(line["efficiency"])
         claim = cell.claim(label)
         if claim is not None:
             value = f" {number(claim['value'])}" if claim["kind"] == "consistency" else ""

@@ -16,7 +16,7 @@ from ..measurement import Interval
 from ..model import DesignModel, Linear, linear_model, product
 from ..observation import observe
 from ..randomness import Streams
-from ..setting import Quantity, Setting
+from ..setting import Matched, Quantity, Setting
 from ..world import Sensing, Trajectory
 from .config import Knowledge, LinearConfig
 from .matrices import at_step, listed, remembered, shape, varies
@@ -63,6 +63,11 @@ class LinearSystem(Setting[LinearConfig]):
             sensor = [node[0] for node in channel.groups(ny)]
             heard.extra["node"] = np.argmax(heard.received[:, sensor, :], axis=1).astype(float)
         return heard
+
+    def matched(self, runs: int) -> Matched:
+        """The plant itself: all its noise is Gaussian."""
+        plain = LinearSystem(self.config.model_copy(update={"knowledge": Knowledge()}))
+        return Matched(plain.design_model({}, np.repeat(np.array(self.config.plant.x0)[:, None], runs, axis=1)))
 
     def sensing(self) -> Sensing:
         plant, steps = self.config.plant, self.config.time.steps

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ..arrays import Array
-from ..augmented import Extra
+from ..augmented import Extra, augmented
 from ..errors import InputError
 from ..faults import Jump
 from ..measurement import Interval
@@ -25,7 +26,7 @@ from ..railway.curvature import pieces, slope_change
 from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
 from ..schema import ScenarioConfig
-from ..setting import Outcome, Quantity, Setting
+from ..setting import Matched, Outcome, Quantity, Setting
 from ..world import Sensing, Trajectory, World
 from .config import Knowledge, MetroConfig
 from .disturbance import UNTOUCHED
@@ -104,6 +105,21 @@ class Metro(Setting[MetroConfig]):
             extra={"disturbance": trip.w, "reference-speed": trip.reference,
                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
         return observe(trajectory, streams, self.sensing(), config.channel, config.faults, trip.state)
+
+    def matched(self, runs: int) -> Matched | None:
+        """Disturbance and noise that are fresh each step, or a constant disturbance as a state, by their moments; the
+        start by those of its uniform errors, which the first seconds outweigh."""
+        form, noise, start = self.config.disturbance.form, self.config.sensors.noise, np.array(self.start)
+        if form not in ("gaussian", "white", "constant") or noise == "biased" or self.config.plant.loads:
+            return None
+        bar = self.config.disturbance.w_bar
+        told = {"sigma_w": bar / {"gaussian": 3.0, "white": 3.0**0.5, "constant": 1.0}[form],
+                "sigma_v": self.config.sensors.sd.tolist(),
+                "initial_sd": [error / 3.0**0.5 for error in self.config.plant.start_error]}
+        model = self.design_model(told, np.repeat(start[:, None], runs, axis=1))
+        if form == "constant":
+            model = augmented(model, [replace(self.extras(told)["disturbance"][0], kind="constant")])
+        return Matched(model, "floor" if form == noise == "gaussian" else "linear optimum")
 
     def sensing(self) -> Sensing:
         along = np.array([1.0, 0.0])

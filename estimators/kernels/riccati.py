@@ -1,0 +1,56 @@
+"""The measurement update of covariances alone, compiled: a Kalman filter's without its mean.
+
+For bounds that need no estimate: the same arithmetic, run by run, as `kalman.kalman_update`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .core import gather2, gather3, kernel, scatter3, tile_width
+from .kalman import _of_kind, _sequential, _whiten, receivers
+
+
+@kernel
+def covariance_update(covariance, received, h, r, failed):
+    """covariance (nx, nx, S) := that after the elements received (ny, S) bool, in place; h (ny, nx, S or 1), r (ny, ny,
+    S or 1), diagonal or not. failed (S,) is set, and the run's numbers NaN, where an innovation variance is not
+    positive."""
+    index = receivers(received)
+    for diagonal in (True, False):
+        part = _of_kind(index, r, diagonal)
+        if len(part):
+            _update_kind(covariance, received, h, r, failed, part, diagonal)
+
+
+@kernel
+def _update_kind(covariance, received, h, r, failed, index, diagonal):
+    """`covariance_update` of the runs of index, whose noise is of one kind."""
+    n, ny, own = covariance.shape[0], h.shape[0], r.shape[2] > 1
+    wide = max(1, tile_width(n, len(index)))
+    noise, tile = np.ones((ny, wide if own and diagonal else 1)), np.empty((ny, ny, wide if own else 1))
+    if diagonal and not own:
+        for j in range(ny):
+            noise[j, 0] = r[j, j, 0]
+    p, got = np.empty((n, n, wide)), np.empty((ny, wide), np.bool_)
+    jacobian, gain = np.empty((ny, n, 1 if h.shape[2] == 1 else wide)), np.empty((n, ny, wide))
+    spread = np.empty((ny, wide))
+    for first in range(0, len(index), wide):
+        width = min(wide, len(index) - first)
+        part = index[first:first + width]
+        gather3(covariance, part, width, p)
+        gather2(received, part, width, got)
+        gather3(h, part, width, jacobian)
+        lost = np.zeros(width, np.bool_)
+        if diagonal:
+            if own:
+                for j in range(ny):
+                    for s in range(width):
+                        noise[j, s] = r[j, j, part[s]]
+            _sequential(p, jacobian, noise, got, gain, spread, lost, width)
+        else:
+            gather3(r, part, width, tile)
+            white, _ = _whiten(tile, got, jacobian, np.zeros((ny, width)), lost, width)
+            _sequential(p, white, noise, got, gain, spread, lost, width)
+        scatter3(p, part, width, covariance)
+        for s in range(width):
+            failed[part[s]] |= lost[s]
