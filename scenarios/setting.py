@@ -45,7 +45,8 @@ class Matched:
     kind: `floor` where all noise is Gaussian, so that no estimator does better; `linear optimum` where some is not and
     the model has its moments: no linear estimator does better, another may. The model's functions are asked at the
     truth vector (its first states; what it has besides is 0). outward(truth) (nt, nx, S or 1): the truth vector's
-    error by the model's states; None: they are its first. beyond (nt,): variance that no state carries."""
+    error by the model's states; None: they are its first. beyond (nx,): variance of the model's states
+    that is fresh at each step, and so in no recursion."""
 
     model: DesignModel
     kind: str = "floor"

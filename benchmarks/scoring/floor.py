@@ -228,13 +228,15 @@ class Riccati:
     def _note(self, k: int, step: Step) -> None:
         if k < self.skip:
             return
-        p, elements = self.covariance, self.elements
+        p, elements, beyond = self.covariance, self.elements, self.matched.beyond
+        if beyond is not None:
+            p = p + np.diag(beyond)[:, :, None]
         if self.matched.outward is None:
-            found = p[elements, elements]
+            self.variances.append(p[elements, elements])
         else:
             t = self.matched.outward(step.truth)[elements]
-            found = sum((t[:, a] * p[a, b] * t[:, b] for a in range(len(p)) for b in range(len(p))), np.zeros(1))
-        self.variances.append(found if self.matched.beyond is None else found + self.matched.beyond[elements, None])
+            self.variances.append(sum((t[:, a] * p[a, b] * t[:, b] for a in range(len(p)) for b in range(len(p))),
+                                      np.zeros(1)))
         self.active.append(step.active)
         self.scored.append(step.scored)
 

@@ -15,9 +15,10 @@ from ..measurement import Interval
 from ..measurement import told as told_covariance
 from ..model import DesignModel
 from ..randomness import Streams
-from ..setting import Outcome, Quantity, Setting
+from ..setting import Matched, Outcome, Quantity, Setting
 from ..world import Sensing, World
 from .config import Knowledge, MovingBlockConfig
+from .matched import matched
 from .track import StadiumTrack, travelled
 from .trains import TwoTrains
 
@@ -50,6 +51,9 @@ class MovingBlock(Setting[MovingBlockConfig]):
 
     def world(self, streams: Streams) -> World:
         return TwoTrains(self.config, self.track, streams, self.sensing())
+
+    def matched(self, runs: int) -> Matched | None:
+        return matched(self.config, self.track, runs)
 
     def sensing(self) -> Sensing:
         return Sensing(("x-a", "y-a", "x-b", "y-b"), np.full(4, max(self.config.sensors.tags.sd, 1e-3)))
