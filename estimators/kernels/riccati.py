@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from .core import gather2, gather3, kernel, scatter3, tile_width
-from .kalman import _of_kind, _sequential, _whiten, receivers
+from .kalman import _of_kind, _whiten, compose, decompose, receivers, sequential
 
 
 @kernel
@@ -41,16 +41,20 @@ def _update_kind(covariance, received, h, r, failed, index, diagonal):
         gather2(received, part, width, got)
         gather3(h, part, width, jacobian)
         lost = np.zeros(width, np.bool_)
+        decompose(p, lost, width)
         if diagonal:
             if own:
                 for j in range(ny):
                     for s in range(width):
                         noise[j, s] = r[j, j, part[s]]
-            _sequential(p, jacobian, noise, got, gain, spread, lost, width)
+            sequential(p, jacobian, noise, got, gain, spread, lost, width)
         else:
             gather3(r, part, width, tile)
             white, _ = _whiten(tile, got, jacobian, np.zeros((ny, width)), lost, width)
-            _sequential(p, white, noise, got, gain, spread, lost, width)
-        scatter3(p, part, width, covariance)
+            sequential(p, white, noise, got, gain, spread, lost, width)
+        compose(p, width)
         for s in range(width):
             failed[part[s]] |= lost[s]
+            for i in range(n if lost[s] else 0):
+                p[i, :, s] = np.nan
+        scatter3(p, part, width, covariance)

@@ -180,7 +180,7 @@ def test_a_run_is_the_same_in_any_batch(label: str) -> None:
     for key, value in alone.scored.metrics.items():
         assert value[0] == together.scored.metrics[key][3], key
     for key, value in alone.outcomes.items():
-        assert value[0] == together.outcomes[key][3], key
+        assert np.array_equal(value[0], together.outcomes[key][3], equal_nan=True), key
 
 
 # -- sensors ------------------------------------------------------------------------------------------------------
