@@ -4,6 +4,7 @@ Everything here is plain data that pickles, so that a task can go to another pro
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -58,13 +59,15 @@ class Task:
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that decides the rows of a run. catalogue: what is known of the estimators."""
+    """Everything that decides the rows of a run. catalogue: what is known of the estimators. changes: what the command
+    line sets in the scenarios, as text."""
 
     cells: tuple[Cell, ...]
     runs: int
     seed: int
     keep: int = 0
     catalogue: Catalogue = field(default_factory=Catalogue, compare=False, repr=False)
+    changes: str = ""
 
     def task(self, cell: Cell, labels: tuple[str, ...], runs: tuple[int, ...]) -> Task:
         """A task of this plan: for several of the suite's own estimators, or for one plug-in."""
@@ -133,7 +136,8 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
                         for label in find(name, overrides)[0].variants[find(name, overrides)[1][0]]["estimators"]})
         raise InputError(f"--estimators {','.join(only)}: none of these; allowed here: {', '.join(known)}, or the name "
                          f"of an installed estimator: {', '.join(catalogue.names())}")
-    return Plan(tuple(cells), runs, seed, keep, catalogue)
+    return Plan(tuple(cells), runs, seed, keep, catalogue,
+                json.dumps(overrides or {}, sort_keys=True, default=str))
 
 
 def _content(cell: Cell) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from ...scenarios.errors import InputError
+from ...scenarios.registry import scenario_files
 from ...scenarios.source import source_hash
 from ..judging.table import summary, verdicts
 from ..planning.plan import Plan, own
@@ -36,9 +37,14 @@ class Interrupted(Exception):
 
 
 def default_folder(plan: Plan) -> Path:
-    """results/run-HASH of the plan's configuration: the same command continues its own folder."""
-    text = json.dumps(plan.configuration(), sort_keys=True, default=str)
-    return Path("results") / f"run-{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+    """results/NAME-HASH, the same for all that may grow together: other runs, estimators and variants of the scenarios
+    as they are, under the plan's seed and number of kept trajectories."""
+    names = list(dict.fromkeys(cell.scenario for cell in plan.cells))
+    parts = [json.dumps([plan.seed, plan.keep, sorted(names)]), plan.changes]
+    parts += [Path(scenario_files().get(where, where)).read_text(encoding="utf-8")
+              for where in sorted({cell.where for cell in plan.cells})]
+    digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:8]
+    return Path("results") / f"{'+'.join(names) if len(names) < 3 else 'run'}-{digest}"
 
 
 def complete(plan: Plan, folder: Path, machinery: Machinery, command: str, *, timing: bool = True,

@@ -298,3 +298,15 @@ def test_a_parameter_that_is_not_estimated_has_no_numbers(railstate: Command) ->
     assert set(curves.query("quantity == 'f'")["estimator"]) == {"kalman-known-f"}
     kept = Store("out").trajectories()
     assert kept is not None and set(kept.query("name == 'f'")["estimator"]) == {"kalman-known-f"}
+
+
+def test_more_runs_and_estimators_go_where_the_first_went(railstate: Command) -> None:
+    """Without --out: the folder is that of the scenario as it is; another truth gets another."""
+    assert railstate("run", "cart.toml/calm", "--runs", 2, "--estimators", "ekf").code == 0
+    assert railstate("run", "cart.toml/calm", "--runs", 3, "--estimators", "ekf,kalman").code == 0
+    [folder] = Path("results").iterdir()
+    assert len(Store(folder).rows()) == 6
+    assert railstate("run", "cart.toml/calm", "--runs", 2, "--estimators", "ekf", "--seed", 2).code == 0
+    Path("cart.toml").write_text(Path("cart.toml").read_text() + "\n# another text\n")
+    assert railstate("run", "cart.toml/calm", "--runs", 2, "--estimators", "ekf").code == 0
+    assert len(list(Path("results").iterdir())) == 3
