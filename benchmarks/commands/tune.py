@@ -62,7 +62,8 @@ def tune_(
         print(f"the optimum of {key} lies at a limit of the search: it may be better beyond")
     print_table("Train against test", pd.DataFrame([_line(entry, tuned.train[entry], tuned.test[entry], aims)
                                                     for entry in ("untuned", "tuned")]),
-                ["train: runs of a seed of their own, on which was searched; test: the table's."])
+                ["train: the trips on which was searched; test: the others." if found.setting(variant).split(True) else
+                 "train: runs of a seed of their own, on which was searched; test: the table's."])
     gaps = {entry: tuned.test[entry].loss / tuned.train[entry].loss - 1 for entry in ("untuned", "tuned")}
     print(f"test over train: tuned {gaps['tuned']:+.2%}, untuned {gaps['untuned']:+.2%}; what tuning adds to it: "
           f"{gaps['tuned'] - gaps['untuned']:+.2%}")

@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from ..arrays import Array, Index, Mask
 from .checks import Finding, examine
@@ -34,6 +35,8 @@ from .wheels import balises_in, passages, placed, together
 
 MEASURED = ("position", "speed", "odometer", "wheel-a", "wheel-b", "balise")
 SENSORS = (*MEASURED, "acceleration")
+KEPT = 200_000
+"""Tables of more rows than this are not kept in memory for the next who asks."""
 COUNTERS = ("odometer", "wheel-a", "wheel-b")
 PLACES = ("position", "reference_position", "balise")
 REFERENCE_SD = 10.0
@@ -127,9 +130,15 @@ def _recording(path: str, meaning: Meaning, stamp: int, beside: int) -> Recordin
     _enough(path, columns, table)
     time, kind, found, told, decimal = _values(table, columns, meaning)
     said = [f"read as: {table.said}{', decimal commas' if decimal == ',' else ''}; time: {kind}"]
+    large = table.rows > KEPT
+    del table, columns
+    if large:
+        _table.cache_clear()
+        pa.default_memory_pool().release_unused()
     rows, groups, done = ordered(path, time, meaning.order, meaning.duplicates)
     said += done
-    time, found, told = time[rows], _taken(found, rows), _taken(told, rows)
+    if done:
+        time, found, told = time[rows], _taken(found, rows), _taken(told, rows)
     if groups is not None:
         time = time[np.unique(groups, return_index=True)[1]]
         found, told = ({role: _means(values, groups) for role, values in part.items()} for part in (found, told))
@@ -146,7 +155,7 @@ def _recording(path: str, meaning: Meaning, stamp: int, beside: int) -> Recordin
     keep = _kept(time, meaning, path)
     if not keep.all():
         said.append(f"{len(time) - keep.sum()} of {len(time)} rows left out (from, to, without)")
-    time, found, told = time[keep], _taken(found, keep), _taken(told, keep)
+        time, found, told = time[keep], _taken(found, keep), _taken(told, keep)
     if len(time) < 3:
         raise ValueError(f"{path}: needs at least three rows, but has {len(time)}")
     together(path, found, said)

@@ -112,7 +112,8 @@ class Recorded(Setting[RecordedConfig]):
         ends = (("rmse", "position-outage-end"),) if self.config.sensors.outage.place != "none" else ()
         if not self.quantities()[0].referenced:
             return ("nis", "innovation"), ("whiteness", "innovation"), ("log-likelihood", "innovation"), *ends
-        return *super().table(), ("final", "position"), *ends
+        apart = self.config.plant.recording is None or self.trips[0].apart["position"]
+        return *super().table(), *([("final", "position")] if apart else []), *ends
 
     def batch_bytes(self) -> int:
         return max(len(trip.time) for trip in self.trips) * 8 * 20

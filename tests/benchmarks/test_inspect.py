@@ -9,9 +9,10 @@ from importlib.resources import files
 
 import pytest
 from railstate.benchmarks import cli
+from railstate.scenarios.files import load
 from railstate.scenarios.recorded.config import Plant
 
-from tests.recordings import fixes, geojson, ride, track, tram, write_examples
+from tests.recordings import METRO, fixes, geojson, ride, track, tram, write_examples
 
 
 def call(capsys, monkeypatch, *words: object) -> tuple[int, str, str]:
@@ -99,6 +100,21 @@ def test_what_cannot_be_is_said_with_its_place(tmp_path, inspect):
     tram().sample(frac=1, random_state=1).to_csv(tmp_path / "trip.csv", index=False)
     code, said, _ = inspect(tmp_path / "trip.csv")
     assert code == 1 and "time must increase" in said and "reference: position: s_ref_m" in said
+
+
+def test_a_train_s_own_odometry_and_a_scenario_file_of_it(tmp_path, inspect):
+    """Wheels and balises by name are mapped; the file has the built-in scenario without what does not fit the trip."""
+    write_examples(tmp_path)
+    code, said, _ = inspect(tmp_path / "metro.csv", "--balises", tmp_path / "balises.csv", "--out",
+                            tmp_path / "my.toml")
+    assert code == 0 and mapping(said)["map"] == METRO
+    assert "railstate run recorded-odometry" in said and "sweep: left out" in said
+    own, built_in = load(str(tmp_path / "my.toml")), load("recorded-odometry")
+    assert own.variants["wheels"]["name"] == "my" and set(own.variants) == {"wheels", "as-recorded"}
+    assert own.variants["wheels"]["estimators"] == built_in.variants["wheels"]["estimators"]
+    assert own.setting("wheels").sensors == ("wheel-a", "wheel-b", "balise")
+    code, _, complaint = inspect(tmp_path / "metro.csv", "--out", tmp_path / "none" / "my.toml")
+    assert code == 2 and "cannot be written" in complaint
 
 
 def test_files_that_cannot_be_read_end_with_2(tmp_path, inspect):

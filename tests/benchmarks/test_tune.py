@@ -6,9 +6,12 @@ import math
 import tomllib
 
 import numpy as np
+import pandas as pd
 import pytest
 from railstate.benchmarks.studies.search import Axis, parse_axis, search
 from railstate.scenarios.errors import InputError
+
+from ..recordings import tram
 
 
 def test_one_number_is_found_to_a_tenth_of_a_percent_of_its_loss_in_thirty_evaluations():
@@ -76,3 +79,30 @@ def test_the_command_tunes_on_runs_of_its_own_and_writes_an_entry(railstate):
         refused = railstate(*bad)
         assert refused.code == 2 and message in refused.err
     assert np.isfinite(entry["knowledge"]["sigma_w"])
+
+
+def test_a_recorded_trip_is_tuned_on_by_likelihood_and_another_is_shown(railstate):
+    """No truth is needed: `inspect` writes the scenario, two trips are split, and what is said of the other trip is
+    what a run on it says."""
+    for seed in (1, 2):
+        tram(seed).drop(columns=["s_ref_m", "v_ref_mps"]).to_csv(f"trip{seed}.csv", index=False)
+    assert railstate("inspect", "trip1.csv", "--out", "trip.toml").code == 0
+    words = ("tune", "trip.toml/as-recorded", "--estimator", "ekf", "--over", "knowledge.density=0.01..10:log",
+             "--objective", "log-likelihood:innovation", "--runs", 1, "--budget", 6, "--jobs", 1,
+             "--out", "tuned.toml", "--set", 'plant.recording=["trip1.csv", "trip2.csv"]', "--set", "plant.split=1")
+    found = railstate(*words)
+    assert found.code == 0 and "train: the trips on which was searched; test: the others." in found.out, found.err
+    written = tomllib.loads((railstate.folder / "tuned.toml").read_text())
+    density = written["estimators"]["ekf-tuned"]["knowledge"]["density"]
+    lines = {row[0]: [float(value) for value in row[1:]] for row in map(str.split, found.out.splitlines())
+             if row and row[0] in ("tuned", "untuned") and len(row) == 3}
+    assert lines["tuned"][0] > lines["untuned"][0] and lines["tuned"][1] > lines["untuned"][1]
+    for trip in (1, 2):
+        done = railstate("run", "trip.toml/as-recorded", "--recording", f"trip{trip}.csv", "--estimators", "ekf",
+                         "--set", f"estimators.ekf.knowledge.density={density}", "--runs", 1, "--jobs", 1, "--out",
+                         f"out{trip}")
+        assert done.code == 0, done.err
+        row = pd.concat(pd.read_parquet(path) for path in (railstate.folder / f"out{trip}" / "rows").iterdir()).iloc[0]
+        assert row["log-likelihood:innovation:1"] == pytest.approx(lines["tuned"][trip - 1], rel=1e-4)
+    refused = railstate(*words[:-1], "plant.split=2")
+    assert refused.code == 2 and "split = 2 leaves none of the 2 recordings" in refused.err

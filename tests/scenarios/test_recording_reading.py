@@ -6,6 +6,8 @@ import bz2
 import gzip
 import lzma
 import os
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -224,3 +226,26 @@ def test_the_ride_is_one_that_a_train_can_make():
     true = ride(0.05)
     assert true.a_mps2.abs().max() <= 0.96 and true.v_mps.min() >= 0
     assert np.abs(np.diff(true.s_m)).max() < 0.05 * 15
+
+
+@pytest.mark.long
+def test_a_million_rows_in_two_seconds_of_processor_time_and_500_megabytes(tmp_path):
+    """A day at 10 Hz and more, in a process of its own: read, checked and ready, all of its rows."""
+    n = 1_000_000
+    t = 0.1 * np.arange(n)
+    v = 10 + 8 * np.sin(t / 40)
+    s = np.cumsum(0.1 * v)
+    noise = np.random.default_rng(1).normal(0, 1, n)
+    pd.DataFrame({"t_s": t, "s_gnss_m": s + noise, "v_kmh": 3.6 * v, "odo_m": 0.97 * s, "s_ref_m": s, "v_ref_mps": v}
+                 ).round(3).to_csv(tmp_path / "day.csv", index=False)
+    columns = {role: name for role, name in MAP.items() if role != "acceleration"}
+    child = ("import resource, sys, time\n"
+             "from railstate.scenarios.recorded.recording import Meaning, read_recording\n"
+             "begin = time.process_time()\n"
+             f"found = read_recording({str(tmp_path / 'day.csv')!r}, Meaning({tuple(sorted(columns.items()))!r}))\n"
+             "print(len(found.time), len(found.findings), time.process_time() - begin, "
+             "resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)")
+    done = subprocess.run([sys.executable, "-c", child], capture_output=True, text=True, check=True)
+    rows, findings, seconds, megabytes = map(float, done.stdout.split())
+    print(f"1e6 rows: {seconds:.2f} s, {megabytes:.0f} MB")
+    assert (rows, findings) == (n, 0) and seconds < 2 and megabytes < 500
