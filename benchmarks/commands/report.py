@@ -10,6 +10,7 @@ import typer
 
 from ...scenarios.errors import InputError
 from ..store.folder import inside
+from .options import names_in
 
 FORMATS = ("svg", "pdf", "png")
 PUBLISHED = "results/published/published.csv"
@@ -50,6 +51,9 @@ def plot(
     folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
     figure: Annotated[str, typer.Option(help="Only this figure; an unknown name lists them all.")] = "",
     format_: Annotated[str, typer.Option("--format", help="svg, pdf or png.")] = "pdf",
+    quantity: Annotated[str, typer.Option(help="Only these quantities in the figures of errors; an unknown "
+                                          "name lists them all.")] = "",
+    run: Annotated[int, typer.Option(min=0, help="Which of the kept runs figures of one run show, from 0 on.")] = 0,
     out: Annotated[str, typer.Option(help="Where to write (default: DIR/figures).")] = "",
 ) -> None:
     """Write the report's figures as files at the width of a paper's column (3.5 inches)."""
@@ -62,7 +66,7 @@ def plot(
     if figure and figure not in names:
         raise InputError(f"--figure {figure}: unknown; allowed: {', '.join(names)}")
     target = Path(out) if out else Path(folder) / "figures"
-    results = load_results(folder)
+    results = load_results(folder, run=run, only=names_in(quantity))
     try:
         target.mkdir(parents=True, exist_ok=True)
         written = 0

@@ -152,6 +152,39 @@ class CovarianceBounds:
         return _turned(phi_C) @ np.linalg.solve(inner, phi_C)
 
 
+def critical_access(linear: Linear, reception: Reception, steps: int = 120, digits: int = 3) -> float:
+    """Remark 8's uncertainty threshold: the share of all access probabilities under which the filter's covariance (10),
+    (11) grows without bounds, however good the sensors are (0: never; a plant of one state a: 1 - 1/a^2).
+
+    What counts is the recursion of a large P, in which Q and R vanish: it grows or falls by a factor a step, taken
+    over the second half of `steps` steps; bisection to `digits` decimals."""
+    def growth(share: float) -> float:
+        P, total = np.eye(len(linear.A(0))), 0.0
+        for k in range(steps):
+            after = (1 - share * sum(reception.p)) * P
+            for node, p in zip(reception.nodes, reception.p, strict=True):
+                c = linear.C(k + 1)[list(node)]
+                left = np.eye(len(P)) - np.linalg.lstsq(c @ P @ c.T, c @ P, rcond=1e-12)[0].T @ c
+                after = after + share * p * (left @ P @ left.T)
+            P = linear.A(k + 1) @ after @ linear.A(k + 1).T
+            size = float(np.trace(P))
+            if not size > 0:
+                return -np.inf  # one step tells it all
+            P, total = P / size, total + (np.log(size) if 2 * k >= steps else 0.0)
+        return total
+
+    steps = min(steps, (linear.steps or steps + 1) - 1)
+    low, high = 0.0, 1.0
+    if growth(high) > 0:
+        return 1.0
+    if growth(low) <= 0:
+        return 0.0
+    while high - low > 10.0**-digits / 2:
+        middle = (low + high) / 2
+        low, high = (middle, high) if growth(middle) > 0 else (low, middle)
+    return (low + high) / 2
+
+
 def _turned(stack: Array) -> Array:
     return np.swapaxes(stack, -1, -2)
 

@@ -17,7 +17,7 @@ from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import Kalman
 from ..kernels.kalman import in_turn
-from .bounds import M_MAX, SIGMA_MAX, CovarianceBounds
+from .bounds import M_MAX, SIGMA_MAX, CovarianceBounds, critical_access
 from .covariance import Covariance
 
 
@@ -65,7 +65,8 @@ class RandomAccessFilter(Estimator):
         _require_nodes(cls, model)
 
     def design(self, model: DesignModel) -> dict[str, Any]:
-        """The first gains, the range of P's eigenvalues over `horizon` steps, and the bounds of Theorems 2 to 4."""
+        """The first gains, the range of P's eigenvalues over `horizon` steps, the bounds of Theorems 2 to 4, and
+        Remark 8's threshold."""
         assert model.linear is not None and model.reception is not None
         P0 = model.initial_covariance[:, :, 0]
         self._model, self._initial = model, Covariance.initial(model)
@@ -75,12 +76,14 @@ class RandomAccessFilter(Estimator):
         return {
             "gains": {f"K_{k + 1}": gain.tolist() for k, gain in enumerate(gains[:3])},
             "eigenvalues of P": {"least": float(eigenvalues.min()), "greatest": float(eigenvalues.max()),
-                                 "greatest from k = 1": float(eigenvalues[1:].max())},
+                                 "greatest from k = 1": float(eigenvalues[1:].max()),
+                                 "greatest in the last third": float(eigenvalues[-(len(eigenvalues) // 3):].max())},
             "assumption 1": {name: getattr(bounds, name) for name in (
                 "q_low", "q_high", "r_low", "r_high", "c", "c_hat", "a_low", "a_high")},
             "lower bound (21)": bounds.lower,
             "upper bound (26)": {f"mu_{k}": float(bounds.mu[k]) for k in (0, 1, bounds.horizon)},
             "proposition 1": bounds.uniform if bounds.uniform is not None else "does not apply: a_high is not below 1",
+            "critical share of the access probabilities": critical_access(model.linear, model.reception),
             **self._conditions(bounds),
         }
 

@@ -17,7 +17,7 @@ from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Status
 from .base import Robust, RobustParameters, SensorParameters, plain
 from .fast import recursive_step
-from .memoryless import memoryless_step
+from .memoryless import bound_step, memoryless_step
 
 
 class RecursiveParameters(RobustParameters):
@@ -140,20 +140,23 @@ class RobustMeanSquare(_Recursive):
 class RobustBounded(Robust):
     """F1, the paper's family: memoryless, min tr P + tr Th per step with P << mu I.
 
-    The P of a step bounds one-step growth from a unit error and is no bound of the error: nothing is claimed. kappa is
-    sought within one P0 (ellipsoid e' P0^-1 e <= 1) around the estimate, as there is no error bound. Where P << mu I
-    is active the compiled form does not apply and the run is infeasible (cvxpy solves it where it can be solved). A
-    step without any measurement has K = 0 and no such constraint."""
+    The P and Th of a step bound its growth, |e+|^2 <= (sqrt(e' P e) + sqrt(u' Th u))^2 for inputs u of size one. The
+    paper's theorem follows: r+ = sqrt(lambda_max P) r + sqrt(n tr Th) bounds the error, from the box of P0 on. Claimed
+    as the ball e' e <= r^2 (in the state's units as they are). kappa is sought within one P0 (ellipsoid
+    e' P0^-1 e <= 1) around the estimate: where it grows beyond that, outside, the theorem is no guarantee. Where
+    P << mu I is active the compiled form does not apply and the run is infeasible (cvxpy solves it where it can be
+    solved). A step without any measurement has K = 0 and no such constraint."""
 
     summary = "memoryless robust estimator, a convex problem per step (F1, Liu et al. 2025)"
     Parameters = BoundedParameters
-    claims = ()
+    claims = ("ellipsoid",)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         nx = model.nx
         self._P0 = plain(np.broadcast_to(model.initial_covariance, (nx, nx, runs)))
         self._P, self._objective = np.zeros((nx, nx, runs)), np.zeros(runs)
+        self._radius = np.sqrt(np.einsum("iis->s", self._P0))
 
     def _region(self) -> Array:
         return self._P0
@@ -162,11 +165,21 @@ class RobustBounded(Robust):
         if self.parameters.solver == "fast":
             memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._v, C, received,
                             self.parameters.mu, self._K, self._P, self._objective, self.stability, self._verdict)
-            return
+        else:
+            self._find_convex(C, received)
+        bound_step(self._P, self._objective, self._inputs(received), self._radius)
+
+    def _inputs(self, received: Mask) -> Array:
+        """How many inputs the waiting step has with these measurements (S,)."""
+        heard = received.sum(axis=0)
+        return np.where(self._moved, self._whole.shape[1] + heard, heard).astype(float)
+
+    def _find_convex(self, C: Array, received: Mask) -> None:
         from .convex import BoundedProblem
 
         if self._convex is None:
             self._convex = BoundedProblem(self.model.nx, self._whole.shape[1], self.model.ny, self.parameters.mu)
+        self._P, self._objective = self._unheard()
         for run in range(self.runs):
             self._K[:, :, run] = 0.0
             if self.status[run] != Status.ok or not (self._moved[run] or received[:, run].any()):
@@ -182,5 +195,18 @@ class RobustBounded(Robust):
             else:
                 self._unsolved(run, solution.status)
 
+    def _unheard(self) -> tuple[Array, Array]:
+        """P and objective of the waiting step without a measurement (K = 0)."""
+        nx, ny = self.model.nx, self.model.ny
+        P, objective = np.zeros_like(self._P), np.zeros(self.runs)
+        memoryless_step(self._moved, self._A, self._M, self._N, self._kappa, self._g, self._v, np.zeros((ny, nx, 1)),
+                        self._none, self.parameters.mu, self._K.copy(), P, objective, np.zeros(self.runs),
+                        self._verdict.copy())
+        return P, objective
+
     def estimate(self) -> Estimate:
-        return Estimate(self._x)
+        radius = self._radius
+        if self._moved.any():
+            radius = radius.copy()
+            bound_step(*self._unheard(), self._inputs(self._none), radius)
+        return Estimate(self._x, ellipsoid=np.eye(self.model.nx)[:, :, None] * radius**2)

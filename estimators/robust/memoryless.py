@@ -249,3 +249,21 @@ def _residual(K, C, m, S, D, rows, M, G, Q, g, work):  # pyright: ignore
                 total += K[i, j] * D[rows[j]] ** 2 * K[l, j]
             Q[i, l] = total
             Q[l, i] = total
+
+
+@kernel
+def bound_step(P, objective, inputs, radius):  # pyright: ignore
+    """The bound r of |e| after a step, in place: |e+| <= sqrt(lambda_max P) r + sqrt(n tr Th) for n inputs of size one
+    at most (disturbances and sensors received over their bounds), tr Th = objective - tr P. radius, inputs (S,); no
+    input, no step."""
+    n = P.shape[0]
+    H = np.empty((n, n))
+    for s in range(len(radius)):
+        if inputs[s] > 0:
+            spread = objective[s]
+            for i in range(n):
+                spread -= P[i, i, s]
+                for j in range(n):
+                    H[i, j] = P[i, j, s]
+            growth = np.sqrt(max(largest_eigenvalue(H), 0.0))
+            radius[s] = growth * radius[s] + np.sqrt(inputs[s] * max(spread, 0.0))

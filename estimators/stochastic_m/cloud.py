@@ -201,3 +201,7 @@ class GridParticles(Estimator):
 
     def counters(self) -> dict[str, Array]:
         return {"kalman-updates": self.kalman_updates}
+
+    def extremes(self) -> dict[str, Array]:
+        """How many values of the parameter are left among the particles at the end (section 3.3's degeneration)."""
+        return {"distinct-values": self.diversity.astype(float)}

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -78,27 +79,32 @@ def _at_least(bound: Callable[[float], float], found: Mapping[float, Certificate
 
 @dataclass(frozen=True)
 class Decay:
-    """Corollary 2's optimum: V = e' R' R e falls by 1 / gamma_bar a step, K (nx, ny) in the system's coordinates."""
+    """Corollary 2's optimum: V = e' P e falls by 1 / gamma_bar a step; K (nx, ny), P (nx, nx) in the system's own
+    coordinates. residual, seconds: as of a `Certificate`."""
 
     gamma_bar: float
     K: Array
+    P: Array
     solver: str
     status: str
+    residual: float
     seconds: float
 
 
-def corollary2(system: ErrorSystem, varpi: float, T: Array, *, solver: str = "CLARABEL") -> Decay:
-    """Corollary 2, eqs. (32) to (35), in the coordinates T e (T (nx, nx), nonsingular; the identity is the paper's).
+def corollary2(system: ErrorSystem, varpi: float | None, T: Array | None = None, *, solver: str = "CLARABEL") -> Decay:
+    """Corollary 2, eqs. (32) to (35), in the coordinates T e (T (nx, nx), nonsingular; None: the paper's own).
 
-    Its relaxation -R'R / gamma <= gamma I - R - R' needs a Lyapunov function near gamma^2 I, so with these data it is
-    feasible only in coordinates such as T = P^(1/2) of a Corollary 1 solution. (33)'s Schur complement is written as
-    the sum of squares that it is. Single-packet systems only. Raises Infeasible."""
+    varpi None: the greatest gamma_bar that (32) alone admits, without the bound of (33), (34). A decay needs
+    gamma_bar > 1. Its relaxation -R'R / gamma <= gamma I - R - R' needs a Lyapunov function near gamma^2 I, so with the
+    paper's data it is feasible only in coordinates such as T = P^(1/2) of a Corollary 1 solution. (33)'s Schur
+    complement is written as the sum of squares that it is. Single-packet systems only. Raises Infeasible."""
     import cvxpy as cp
 
     begun = perf_counter()
     (node,) = system.nodes
-    inverse = np.linalg.inv(T)
     nx, nf = system.E.shape
+    T = np.eye(nx) if T is None else T
+    inverse = np.linalg.inv(T)
     size = float(np.linalg.norm(system.delta))
     A, E, M = T @ system.A @ inverse, T @ system.E * size, system.M @ inverse
     rows = 1 / np.linalg.norm(system.C @ inverse, axis=1)
@@ -117,18 +123,36 @@ def corollary2(system: ErrorSystem, varpi: float, T: Array, *, solver: str = "CL
         [drift, -drop, push, -eye(nx), zero((nx, nx))],
         [scatter, zero((nx, nx)), zero((nx, nf)), zero((nx, nx)), -eye(nx)],
     ]))
-    weight = symmetric(cp.bmat([[rho * eye(nx) - R - R.T, gamma * M.T], [gamma * M, -rho * eye(M.shape[0])]]))
-    noise = node.largest * cp.sum_squares(Y @ root)
-    problem = cp.Problem(cp.Maximize(gamma), [lmi << 0, weight << 0, noise + two <= varpi * (gamma - 1)])
+    limits = [lmi << 0]
+    checked: list[Any] = [lmi]
+    if varpi is not None:
+        checked.append(symmetric(cp.bmat([[rho * eye(nx) - R - R.T, gamma * M.T], [gamma * M, -rho * eye(len(M))]])))
+        limits += [checked[1] << 0, node.largest * cp.sum_squares(Y @ root) + two <= varpi * (gamma - 1)]
+    problem = cp.Problem(cp.Maximize(gamma), limits)
     status = solve_problem(problem, solver)
     if status != "optimal" or R.value is None or Y.value is None or gamma.value is None:
         raise Infeasible(f"Corollary 2 has no solution at varpi = {varpi:g} in these coordinates ({solver}: {status}; "
-                         "constraints (32) to (34)); try T = P^(1/2) of a Corollary 1 solution, or a larger varpi")
-    worst = max(violation(lmi.value), violation(weight.value))
+                         "constraints (32) to (34)); try T = P^(1/2) of a Corollary 1 solution, or a larger varpi"
+                         if varpi else f"Corollary 2: (32) alone is not solved ({solver}: {status})")
+    worst = max(violation(matrix.value) for matrix in checked)
     if worst > WORST:
         raise Infeasible(f"Corollary 2: {solver} says optimal, but constraints (32), (34) are violated by {worst:.1e}")
     K = inverse @ np.linalg.solve(R.value, Y.value) * rows
-    return Decay(float(gamma.value), K, solver, status, perf_counter() - begun)
+    V = R.value @ T
+    return Decay(float(gamma.value), K, V.T @ V, solver, status, worst, perf_counter() - begun)
+
+
+def printed_decay(system: ErrorSystem, varpi: float, *, solver: str = "CLARABEL") -> Certificate:
+    """Corollary 2 as it is printed. Raises Infeasible, which says what (32) alone admits: with the paper's data it has
+    no solution, whatever varpi and delta are."""
+    try:
+        found = corollary2(system, varpi, solver=solver)
+    except Infeasible as reason:
+        greatest = corollary2(system, None, solver=solver).gamma_bar
+        raise Infeasible(f"{reason}; (32) alone admits gamma_bar = {greatest:.4g} at most, and a decay needs more "
+                         "than 1") from None
+    return Certificate(1 / found.gamma_bar, varpi, found.K, found.P, solver, found.status, found.seconds,
+                       found.residual)
 
 
 def trade_off(system: ErrorSystem, thetas: list[float], *, multipliers: Multipliers = "scalar",

@@ -9,10 +9,10 @@ from abc import abstractmethod
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Infeasible, InputError, Unsupported
@@ -20,7 +20,7 @@ from ...scenarios.measurement import Interval, Measurement
 from ...scenarios.model import DesignModel, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..design_cache import remember
-from ..interface import Estimate, Estimator, Parameters
+from ..interface import Estimate, Estimator, Parameters, used_with
 from ..kernels.core import apply
 from . import decay as lmi_decay
 from . import lmi, solving
@@ -137,11 +137,19 @@ class FastestDecayParameters(GainParameters):
     varpi: float | None = Field(None, gt=0, description="bound on E |M e|^2 that must be kept; None: what the "
                                 "scenario's knowledge says")
     tolerance: float = Field(5e-4, gt=0, lt=0.1, description="width of the bisection's last interval of theta")
+    form: Literal["bisection", "printed"] = Field("bisection", description="printed: eqs. (32) to (35) as they are, "
+                                                  "which have no solution with the paper's data")
+
+    @model_validator(mode="after")
+    def _used(self) -> FastestDecayParameters:
+        used_with(self, "tolerance", "form", "bisection")
+        used_with(self, "multipliers", "form", "bisection")
+        return self
 
 
 class FastestDecay(ConstantGain):
     """The gain of fastest certified decay whose bound on E |M e|^2 stays under varpi: Corollary 2's problem, solved by
-    bisection over theta on Corollary 1's constraints (no relaxation)."""
+    bisection over theta on Corollary 1's constraints (no relaxation), or as printed."""
 
     Parameters = FastestDecayParameters
     summary = "constant gain of fastest certified decay under a given bound, by LMI (Corollary 2's problem)"
@@ -155,6 +163,8 @@ class FastestDecay(ConstantGain):
         return float(cast(float, varpi))
 
     def _solve(self, system: ErrorSystem, target: float) -> Certificate:
+        if self.parameters.form == "printed":
+            return lmi_decay.printed_decay(system, target)
         return lmi_decay.fastest_decay(system, target, multipliers=self.parameters.multipliers,
                                        tolerance=self.parameters.tolerance)
 

@@ -57,9 +57,17 @@ class Plant(Strict):
 
 
 class Disturbance(Strict):
-    """White noise on the speed through E of eq. (4); variance per second, (m/s)^2/s."""
+    """White noise on the speed through E of eq. (4); variance per second, (m/s)^2/s.
+
+    hold: how it enters a step: `impulse`, the speed alone at its end; `held`, as an acceleration constant over the step
+    (Gamma of eq. (6) by exact hold of E: half of the step's change of speed counts for the way)."""
 
     speed_variance_rate: NonNegativeFloat
+    hold: Literal["impulse", "held"] = "impulse"
+
+    def entry(self, period: float) -> Array:
+        """What a change of speed by one does to (D, v, a^, a_z) within its step, (4,)."""
+        return np.array([period / 2 if self.hold == "held" else 0.0, 1.0, 0.0, 0.0])
 
 
 class Sensors(Strict):

@@ -51,12 +51,15 @@ class Braking(Setting[BrakingConfig]):
         constant deceleration over that step gives; the train then stays there, and is scored no further."""
         config = self.config
         steps, period, runs = config.time.steps, config.time.period, len(streams.runs)
+        entry = config.disturbance.entry(period)
         noise = np.sqrt(config.disturbance.speed_variance_rate * period) * streams("truth").normal(steps)
         start = np.repeat(np.array(config.plant.initial)[:, None], runs, axis=1)
         truth, active = np.empty((steps, 5, runs)), np.ones((steps, runs), dtype=bool)
         x, moving = start, np.ones(runs, dtype=bool)
         for k in range(steps):
             moved = self.plant.step(x, self.rates[k], self.targets[k])
+            if entry[0]:
+                moved[0] += entry[0] * noise[k]
             moved[1] += noise[k]
             active[k] = moving
             if config.plant.until_standstill:
@@ -92,7 +95,7 @@ class Braking(Setting[BrakingConfig]):
         for row, (_, state, _) in enumerate(rows):
             C[row, state] = 1.0
         told = Told(self.plant, period, initial_mean, np.array(told_of.initial_variance),
-                    self.config.disturbance.speed_variance_rate * period, C,
+                    self._noise(), C,
                     np.diag([variance for *_, variance in rows]), tuple(name for name, *_ in rows))
         if told_of.model == "grid":
             return grid_model(told, np.array(told_of.grid), told_of.prior, told_of.nominal)
@@ -100,6 +103,12 @@ class Braking(Setting[BrakingConfig]):
                     told_of.target_variance_rate * period)
         return augmented_model(told, walk) if told_of.model == "augmented" else scheduled_model(told, walk,
                                                                                                   self.targets)
+
+    def _noise(self) -> Array:
+        """Process covariance of a step, (4, 4)."""
+        disturbance, period = self.config.disturbance, self.config.time.period
+        entry = disturbance.entry(period)
+        return disturbance.speed_variance_rate * period * np.outer(entry, entry)
 
     def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
         """A constant bias of each sensor; f itself is a state where knowledge.model says so."""

@@ -22,13 +22,13 @@ PARAMETER = "f"
 class Told:
     """What every design model of the brake shares. initial_mean (4, S), initial_variance (4,), C (ny, 4), R (ny, ny).
 
-    speed_variance: process noise per step on v, (m/s)^2."""
+    noise (4, 4): process covariance per step."""
 
     plant: Affine
     period: float
     initial_mean: Array
     initial_variance: Array
-    speed_variance: float
+    noise: Array
     C: Array
     R: Array
     measurements: tuple[str, ...]
@@ -38,7 +38,7 @@ def grid_model(told: Told, grid: Array, prior: Array, nominal: float) -> DesignM
     """The four-state model with one mode per grid value of f, prior (m,) over them; its plain linear part
     believes f = `nominal`."""
     matrices = [told.plant.at(float(value)) for value in grid]
-    Q = np.diag([0.0, told.speed_variance, 0.0, 0.0])
+    Q = told.noise
     modes = Grid(PARAMETER, grid, np.array([A for A, _ in matrices]), np.array([B for _, B in matrices]), told.C, Q,
                  told.R, prior)
     A, B = told.plant.at(nominal)
@@ -65,16 +65,16 @@ class Walk:
         mean = np.concatenate([told.initial_mean, np.full((1, runs), self.mean)])
         return mean, np.diag([*told.initial_variance, self.variance])[:, :, None]
 
-    def covariance(self, gain: Array, speed_variance: float) -> Array:
-        """Process covariance (5, 5, S) when f's step moves (D, v, a^) by gain (3, S): f(k+1) acts on the step into
-        k + 1, so its noise does too."""
+    def covariance(self, gain: Array, noise: Array) -> Array:
+        """Process covariance (5, 5, S) when f's step moves (D, v, a^) by gain (3, S), and noise (4, 4) is the rest:
+        f(k+1) acts on the step into k + 1, so its noise does too."""
         runs = gain.shape[1]
         out = np.zeros((5, 5, runs))
         direction = np.concatenate([gain, np.zeros((1, runs)), np.ones((1, runs))])
         for i in range(5):
             for j in range(5):
                 out[i, j] = self.step * (direction[i] * direction[j])
-        out[1, 1] += speed_variance
+        out[:4, :4] += noise[:, :, None]
         out[3, 3] += self.target_variance
         return out
 
@@ -109,7 +109,7 @@ def augmented_model(told: Told, walk: Walk) -> DesignModel:
         measurement=lambda x, step: product(C, x),
         transition_jacobian=jacobian,
         measurement_jacobian=lambda x, step: C[:, :, None],
-        process_covariance=lambda x, u, interval: walk.covariance(sensitivity(x, u[0]), told.speed_variance),
+        process_covariance=lambda x, u, interval: walk.covariance(sensitivity(x, u[0]), told.noise),
         measurement_covariance=told_covariance(lambda step: told.R[:, :, None]),
         initial_mean=mean,
         initial_covariance=covariance,
@@ -135,7 +135,7 @@ def scheduled_model(told: Told, walk: Walk, targets: Array) -> DesignModel:
     A[:, :4, :4] = plant.A0
     A[:, :3, 4] = gains
     A[:, 4, 4] = 1.0
-    Q = np.stack([walk.covariance(gain[:, None], told.speed_variance)[:, :, 0] for gain in gains])
+    Q = np.stack([walk.covariance(gain[:, None], told.noise)[:, :, 0] for gain in gains])
     B = np.concatenate([plant.B0, np.zeros((1, 1))])
     C = np.hstack([told.C, np.zeros((told.C.shape[0], 1))])
     zero = np.zeros(5)
@@ -146,8 +146,10 @@ def scheduled_model(told: Told, walk: Walk, targets: Array) -> DesignModel:
     bounds = None
     if np.abs(gains - gains[0]).max() <= 1e-3 * np.abs(gains[0]).max():
         G = np.zeros((5, 2))
-        G[:3, 0], G[4, 0], G[1, 1] = gains[0], 1.0, 1.0
-        w_bar = np.array([np.sqrt(3 * walk.step), 3 * np.sqrt(told.speed_variance)])
+        speed = np.sqrt(told.noise[1, 1])
+        G[:3, 0], G[4, 0] = gains[0], 1.0
+        G[:4, 1] = told.noise[:, 1] / told.noise[1, 1] if speed else 0.0
+        w_bar = np.array([np.sqrt(3 * walk.step), 3 * speed])
         bounds = Bounds(G, w_bar, np.full(len(C), np.inf))
     return linear_model(linear, states=(*STATES, PARAMETER), measurements=told.measurements, period=told.period,
                         initial_mean=mean, initial_covariance=covariance, bounds=bounds)

@@ -47,6 +47,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             Quantity("weighted", "1", (*((i, weight.position) for i in cars), *((n + i, weight.speed) for i in cars)),
                      mean=False),
             Quantity("position-front", "m", ((0, 1.0),)),
+            Quantity("speed-front", "m/s", ((n, 1.0),)),
         )
 
     def table(self) -> tuple[tuple[str, str], ...]:
@@ -135,18 +136,20 @@ class CoupledCars(Setting[CoupledCarsConfig]):
                   gain=entering(np.ascontiguousarray(scaled[:, i:i + 1]))) for i in range(self.cars))}
 
     def outcomes(self, world: Any, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
-        """Headway time in seconds and trains per hour at each speed.
+        """Headway time in seconds, headway distance H_D in metres and trains per hour at each speed; the train's safety
+        envelope l_S = L_train + L_error in metres (section II-B, H_D with l_S in place of L_train).
 
         L_error is the largest absolute error of car 1's position over the run, of the estimate that is scored (x^(k)
         before the packet of step k is used): that is what the zone controller has at hand between packets, and the
         paper's own L_error of 1.7 .. 2.05 m fits no other reading."""
         headway = self.config.headway
         error = metrics["max", "position-front"]
-        out: dict[Outcome, Array] = {}
+        envelope = headway.train_length + error
+        out: dict[Outcome, Array] = {("envelope", "train", "m"): envelope}
         for name, speed in self._headways():
-            distance = headway.train_length + headway.safe_distance + error
-            time = distance / speed + headway.reaction_time + headway.braking_time
+            time = (headway.safe_distance + envelope) / speed + headway.reaction_time + headway.braking_time
             out["headway", name, "s"] = time
+            out["distance", name, "m"] = time * speed
             out["trains-per-hour", name, "1/h"] = 3600.0 / time
         return out
 

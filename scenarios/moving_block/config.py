@@ -43,6 +43,7 @@ class Trains(Strict):
 class ControlTable(Strict):
     """law: P (the paper's) or R (restoring). braking: beta_s; braking_limit: hardest deceleration over beta_s.
 
+    reserve: periods of the follower's way that the distance kept is longer than (23) asks for.
     leader_ratio: k_acc of eqs. (28), (29); the follower's ratio (-1 + sqrt(1 + 4 k_acc)) / 2 must be real."""
 
     law: Literal["P", "R"]
@@ -51,6 +52,7 @@ class ControlTable(Strict):
     leader_ratio: PositiveFloat
     safe_gap: PositiveFloat
     margin: NonNegativeFloat
+    reserve: NonNegativeFloat = 2.0
 
 
 class MovingBlockSignalling(Strict):

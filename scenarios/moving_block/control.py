@@ -14,7 +14,8 @@ class Control(NamedTuple):
     """What the control laws need, SI units.
 
     restoring: law R rather than the paper's P. braking: beta_s. limit: hardest deceleration over beta_s. follow:
-    alpha_B. safe_gap: d_M. margin: m. fixed: fixed blocks rather than moving ones. top_speed: of both trains."""
+    alpha_B. safe_gap: d_M. margin: m. reserve: periods of the follower's way beyond (23). fixed: fixed blocks rather
+    than moving ones. top_speed: of both trains."""
 
     restoring: bool
     braking: float
@@ -22,6 +23,7 @@ class Control(NamedTuple):
     follow: float
     safe_gap: float
     margin: float
+    reserve: float
     fixed: bool
     top_speed: float
     period: float
@@ -39,13 +41,18 @@ def speed_for_stop(distance, speed, braking, period):
 
 
 @njit(cache=True)
+def kept_distance(follower, c):
+    """d_min(k) of (23) at the follower's speed, with the margin and the reserve: under it the synchronization acts."""
+    return c.safe_gap + c.margin + follower * follower / (2 * c.braking) + c.reserve * follower * c.period
+
+
+@njit(cache=True)
 def follow_acceleration(gap, leader, follower, c):
     """The follower's acceleration under moving block (Faruqi et al. 2019, eqs. (23), (27), (29)).
 
     gap: leader's tail to follower's nose as estimated; leader, follower: speeds from the encoders. Law R adds the
     deceleration that stops the follower at the safe gap; (27) alone lets errors of the estimates pile up in the gap."""
-    minimum = c.safe_gap + c.margin + follower * follower / (2 * c.braking) + 2 * follower * c.period
-    if gap > minimum:
+    if gap > kept_distance(follower, c):
         return c.follow
     hardest = c.limit * c.braking
     if gap <= c.safe_gap + c.margin:

@@ -95,6 +95,8 @@ class MovingBlock(Setting[MovingBlockConfig]):
     def outcomes(self, world: World, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """rmse-per-train of x, y (m): the mean of the two trains' own RMSE, as the paper's Table II averages.
 
+        x-a .. y-b: of the leader and of the follower alone.
+
         mean gap (m, time mean of the true gap), least gap (m), violations (1 where the true gap was ever under d_M),
         mean lap (s, over both trains; NaN where a run ran out of steps, which `unfinished` counts)."""
         trains = cast(TwoTrains, world)
@@ -103,6 +105,8 @@ class MovingBlock(Setting[MovingBlockConfig]):
         return {
             ("rmse-per-train", "x", "m"): (own[0] + own[2]) / 2,
             ("rmse-per-train", "y", "m"): (own[1] + own[3]) / 2,
+            **{("rmse-per-train", f"{axis}-{train}", "m"): own[2 * t + i]
+               for t, train in enumerate("ab") for i, axis in enumerate("xy")},
             ("mean", "gap", "m"): trains.gap_sum / trains.driven,
             ("min", "gap", "m"): trains.gap_least,
             ("violations", "gap", "1"): (trains.gap_least < self.config.plant.control.safe_gap - 1e-9).astype(float),

@@ -157,7 +157,7 @@ class TwoTrains:
         fixed = isinstance(signalling, FixedBlockSignalling)
         follow = rules.braking * (-1 + math.sqrt(1 + 4 * rules.leader_ratio)) / 2
         self.control = Control(rules.law == "R", rules.braking, rules.braking_limit, follow, rules.safe_gap,
-                               rules.margin, fixed,
+                               rules.margin, rules.reserve, fixed,
                                min(trains.top_speed, signalling.line_speed) if fixed else trains.top_speed, self.period)
         leader = rules.leader_ratio * rules.braking
         self.line = Course(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.estimators.random_access.bounds import CovarianceBounds
+from railstate.estimators.random_access.bounds import CovarianceBounds, critical_access
 from railstate.estimators.random_access.covariance import covariance_sequence
 from railstate.estimators.random_access.estimators import RandomAccessFilter
 from railstate.scenarios.files import load
@@ -151,3 +151,19 @@ def test_the_printed_rank_one_b_leaves_no_lower_bound():
 def test_a_window_outside_the_horizon_is_refused():
     with pytest.raises(ValueError, match=r"m = 1 \.\. 9; got sigma = 20, m = 10"):
         bounds_of(example("rap-example-2"), 10).check(20.0, 10)
+
+
+@pytest.mark.parametrize(("a", "wanted"), [(1.25, 1 - 1 / 1.25**2), (0.9, 0.0)])
+def test_critical_access_of_one_state_is_the_uncertainty_threshold(a: float, wanted: float):
+    """1 - 1/a^2 for one state and one node; the covariance itself grows below it and settles above."""
+    text = {"plant.A": [[a]], "plant.B": [[1.0]], "plant.C": [[1.0]], "plant.Q": [[1.0]], "plant.R": [[1.0]],
+            "plant.x0": [0.0], "plant.P0": [[1.0]], "channel.p": [1.0], "channel.nodes": [[0]]}
+    model = load("rap-example-2", text).setting("corrected").design_model({}, np.zeros((1, 1)))
+    assert model.linear is not None and model.reception is not None
+    found = critical_access(model.linear, model.reception)
+    assert found == pytest.approx(wanted, abs=1e-3)
+    for share, grows in ((found - 0.02, True), (found + 0.02, False)) if wanted else ():
+        P = 1.0
+        for _ in range(2000):
+            P = a * a * (P - share * P * P / (P + 1)) + 1  # (10), (11) with p = share
+        assert (P > 1e6) == grows

@@ -17,6 +17,8 @@ from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
 
 from ..models import heard, part
+from .test_robust import A as plant_A
+from .test_robust import G, admissible, follow, model, started
 
 PROBLEMS = 100
 FREE = 1e6
@@ -169,3 +171,28 @@ def test_metro_trajectories(cls: Any) -> None:
     assert k > 500
     assert fast.extremes()["contraction"] == pytest.approx(slow.extremes()["contraction"], abs=1e-4)
     assert fast.status[0] == slow.status[0] == Status.ok
+
+
+def test_f1_claims_the_theorem_s_bound_and_keeps_it() -> None:
+    """r+ = sqrt(lambda_max P) r + sqrt(n tr Th) with the P and Th of the convex problems themselves, n counting the
+    disturbances and the sensors heard; admissible truths stay inside."""
+    runs, steps = 6, 12
+    xs, ys, received = admissible(runs, steps)
+    received[:] = received[:, :1]  # both sensors or none: with one of them P << mu I is active
+    fast, convex = (follow(started(RobustBounded, model(runs), solver=solver), ys, received)
+                    for solver in ("fast", "cvxpy"))
+    problem = BoundedProblem(2, 2, 2, 0.9999)
+    for run in range(runs):
+        r = np.sqrt(1.25)
+        for k in range(steps):
+            heard_of = received[k, :, run]
+            B = G * [0.3, 0.2]
+            if heard_of.any():
+                found = problem.solve(plant_A, np.array([0.3, 1.0]), np.array([0.0, 0.02]), B, np.array([1.0, 0.4]),
+                                      np.eye(2), heard_of)
+                spread = found.objective - np.trace(found.P)
+                r = np.sqrt(np.linalg.eigvalsh(found.P)[-1]) * r + np.sqrt((2 + heard_of.sum()) * spread)
+                assert fast[k].ellipsoid[0, 0, run] == pytest.approx(r * r, rel=1e-4)
+            r = np.sqrt(fast[k].ellipsoid[0, 0, run])
+            assert convex[k].ellipsoid[1, 1, run] == pytest.approx(r * r, rel=1e-4)
+            assert np.linalg.norm(fast[k].mean[:, run] - xs[k, :, run]) <= r

@@ -162,6 +162,27 @@ def test_corollary_2_needs_other_coordinates() -> None:
         lmi_decay.corollary2(six, 100.0, np.eye(12))
 
 
+@pytest.mark.parametrize(("trains", "greatest"), [([1, 3], 0.8866), ([1, 1], 1.6910)])
+def test_corollary_2_as_printed_has_no_decay_for_one_to_three_trains(trains: list[int], greatest: float) -> None:
+    """(32) alone, whatever varpi and delta are; the estimator's option says so."""
+    told = load("cbtc-csma", {"knowledge.trains": trains, "time.steps": 2}).setting("uniform")
+    model = told.design_model({}, np.zeros((12, 1)))
+    found = lmi_decay.corollary2(error_system(model), None)
+    assert found.gamma_bar == pytest.approx(greatest, abs=1e-4)
+    if greatest < 1:
+        with pytest.raises(Infeasible, match=r"Corollary 2 has no solution.*gamma_bar = 0.8866 at most"):
+            lmi_decay.printed_decay(error_system(model), 1e4)
+
+
+def test_corollary_2_as_printed_where_it_has_a_solution() -> None:
+    """A plant that forgets by itself, in units in which its Lyapunov function is near the identity."""
+    told = lmi.ErrorSystem(0.5 * np.eye(2), np.eye(2), 0.01 * np.eye(2), 0.01 * np.eye(2), 0.01 * np.eye(2),
+                           np.ones(2), (lmi.packet(0.8, 0.8, 2),))
+    found = lmi_decay.printed_decay(told, 10.0)
+    assert found.theta < 1 and found.bound == 10.0
+    assert lmi.certify(told, found.K, found.theta + 1e-4, multipliers="free").bound <= found.bound
+
+
 def test_fastest_decay_is_the_edge() -> None:
     two, varpi, width = system(), 1.0, 2e-3
     found = lmi_decay.fastest_decay(two, varpi, tolerance=width)

@@ -231,3 +231,28 @@ def test_one_prior_for_all():
     assert_allclose(told["prior-normal"].prior, weight / weight.sum(), rtol=1e-12)
     knowledge = scenario.setting("prior-uniform").config.knowledge
     assert_allclose([knowledge.rate_initial, knowledge.rate_initial_variance], [grid.mean(), grid.var()], rtol=1e-12)
+
+
+def test_noise_held_over_a_step_is_half_of_it_on_the_way() -> None:
+    """Gamma of eq. (6) by exact hold of E, [T/2, 1] per change of speed: by integration with constant d(t), in the
+    truth and in every model that estimators are told."""
+    impulse, held = (setting("paper", **{"disturbance.hold": hold}) for hold in ("impulse", "held"))
+    truths = [each.world(streams(range(3))).truth for each in (impulse, held)]
+    change = np.diff(truths[0][:, 1] - truths[1][:, 1], axis=0)
+    assert_allclose(change, 0, atol=1e-12)  # the same speeds
+    noise = truths[0][:, 1] - np.concatenate([[np.full(3, 20.0)], truths[0][:-1, 1]])  # plus what f does, in both
+    way = truths[1][:, 0] - truths[0][:, 0]
+    drawn = noise - noise.mean(axis=1, keepdims=True)  # f is the same in all runs
+    assert_allclose(np.diff(way - way.mean(axis=1, keepdims=True), axis=0), drawn[1:] / 2, atol=1e-9)
+    told = held.design_model({}, np.array([[0.0], [20.0], [-1.0], [-2.0]]))
+    assert told.modes is not None and told.linear is not None
+    wanted = 0.05 * np.outer([0.5, 1.0, 0, 0], [0.5, 1.0, 0, 0])
+    assert_allclose(told.linear.Q(0), wanted)
+    for name in ("augmented", "scheduled"):
+        model = held.design_model({"model": name}, np.array([[0.0], [20.0], [-1.0], [-2.0]]))
+        assert model.process_covariance is not None
+        Q = model.process_covariance(model.initial_mean, np.array([[-1.0]]), whole(0, 1.0))[:, :, 0]
+        before = impulse.design_model({"model": name}, np.array([[0.0], [20.0], [-1.0], [-2.0]]))
+        assert before.process_covariance is not None
+        plain = before.process_covariance(model.initial_mean, np.array([[-1.0]]), whole(0, 1.0))[:, :, 0]
+        assert_allclose((Q - plain)[:2, :2], 0.05 * np.array([[0.25, 0.5], [0.5, 0.0]]), atol=1e-15)

@@ -21,7 +21,7 @@ from ..models import part, whole
 
 TRACK = StadiumTrack(straight=0.9, radius=0.5)
 LAW_P = Control(restoring=False, braking=1.6, limit=1.5, follow=1.6 * (math.sqrt(5) - 1) / 2, safe_gap=0.27, margin=0.0,
-                fixed=False, top_speed=1.2, period=0.05)
+                reserve=2.0, fixed=False, top_speed=1.2, period=0.05)
 LAW_R = LAW_P._replace(restoring=True, braking=2.0, follow=2.0 * (math.sqrt(5) - 1) / 2, margin=0.03)
 
 

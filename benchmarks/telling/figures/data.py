@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from ....scenarios.arrays import Array
+from ....scenarios.errors import InputError
 from ....scenarios.registry import setting_of
 from ....scenarios.setting import Setting
 from ...judging.selection import Aligned, Column
@@ -51,7 +52,8 @@ class Kept:
 @dataclass(frozen=True)
 class CellResults:
     """One variant of one scenario. cell: its part of the verdict table. table: the scenario's. curves: by (estimator,
-    quantity). kept: by (estimator, name) of the first kept run, estimator "" for the truth's own."""
+    quantity). kept: by (estimator, name) of one kept run (the first), estimator "" for the truth's own. only:
+    quantities that figures are to show."""
 
     cell: Cell
     table: Mapping[str, Any]
@@ -59,6 +61,11 @@ class CellResults:
     curves: Mapping[tuple[str, str], Curve]
     kept: Mapping[tuple[str, str], Kept]
     styles: Mapping[str, Style]
+    only: tuple[str, ...] = ()
+
+    def chosen(self, names: Sequence[str], most: int) -> list[str]:
+        """The quantities a figure shows: those asked for, else the first `most`."""
+        return [name for name in names if name in self.only] if self.only else list(names[:most])
 
     @property
     def scenario(self) -> str:
@@ -142,11 +149,15 @@ class Results:
     styles: Mapping[str, Style]
 
 
-def load_results(folder: str | Path) -> Results:
-    """Read a results folder. Raises InputError where it is none, is damaged or holds no rows."""
+def load_results(folder: str | Path, *, run: int = 0, only: Sequence[str] = ()) -> Results:
+    """Read a results folder. run: which of the kept runs figures of one run show, from 0 on; only: the quantities they
+    show. Raises InputError where it is none, is damaged or holds no rows, or where these are not in it."""
     store = Store(folder)
     manifest, rows = store.manifest(), store.rows()
-    curves, kept, verdicts = _curves(store.curves()), _kept(store.trajectories()), verdicts_of(store)
+    known = sorted({name for about in manifest["scenarios"].values() for name in about["quantities"]})
+    if unknown := [name for name in only if name not in known]:
+        raise InputError(f"--quantity {unknown[0]}: not among the quantities here: {', '.join(known)}")
+    curves, kept, verdicts = _curves(store.curves()), _kept(store.trajectories(), run), verdicts_of(store)
     styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
     parts = {(str(a), str(b)): part for (a, b), part in rows.groupby(["scenario", "variant"], sort=False)}
     scenarios: dict[str, list[CellResults]] = {}
@@ -155,7 +166,7 @@ def load_results(folder: str | Path) -> Results:
         scenarios.setdefault(cell.scenario, []).append(CellResults(
             cell, manifest["replay"]["cells"][cell.key]["table"],
             parts[key].dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
-            styles))
+            styles, tuple(only)))
     return Results(store.folder, manifest, rows, verdicts, scenarios, styles)
 
 
@@ -184,10 +195,13 @@ def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], 
             _split(frame, "quantity", ("time", "active", "squared", "fourth", "error")).items()}
 
 
-def _kept(frame: pd.DataFrame | None) -> dict[tuple[str, str], dict[tuple[str, str], Kept]]:
+def _kept(frame: pd.DataFrame | None, run: int) -> dict[tuple[str, str], dict[tuple[str, str], Kept]]:
+    kept = [] if frame is None else sorted(frame["run"].unique().tolist())
+    if run and run >= len(kept):
+        raise InputError(f"--run {run}: {len(kept)} runs are kept, counted from 0 (railstate run --keep)")
     if frame is None:
         return {}
-    first = frame.loc[frame["run"] == frame["run"].min()]
+    first = frame.loc[frame["run"] == kept[run]]
     return {cell: {key: Kept(*columns) for key, columns in parts.items()} for cell, parts in
             _split(first, "name", ("time", "truth", "estimate", "sd")).items()}
 

@@ -41,8 +41,8 @@ def error_over_time(cell: CellResults) -> Canvas | None:
     """Root mean square error over the runs at each instant, per estimator and quantity; with 95 % bands for up to
     `CROWD` estimators."""
     units = cell.quantity_units()
-    names = [quantity for _, _, quantity, _ in cell.judged
-             if quantity in units and any((label, quantity) in cell.curves for label in cell.labels)][:MOST]
+    names = cell.chosen([quantity for _, _, quantity, _ in cell.judged
+                         if quantity in units and any((label, quantity) in cell.curves for label in cell.labels)], MOST)
     labels = [label for label in cell.labels if any((label, name) in cell.curves for name in names)]
     if not names:
         return None
@@ -76,7 +76,8 @@ def label_room(labels: list[str]) -> float:
 def errors_per_run(cell: CellResults) -> Canvas | None:
     """Each estimator's errors per run as a box (quartiles, median), whiskers (5 % to 95 %) and extremes (dots)."""
     labels = cell.labels
-    columns = cell.judged[:MOST if len(labels) <= CROWD else MOST - 1]
+    shown = cell.chosen([quantity for _, _, quantity, _ in cell.judged], MOST if len(labels) <= CROWD else MOST - 1)
+    columns = [column for column in cell.judged if column[2] in shown]
     if not columns:
         return None
     left, step = label_room(labels), 11.0

@@ -22,10 +22,11 @@ def thinned(length: int, most: int = POINTS) -> NDArray[np.intp]:
 
 
 def example_run(cell: CellResults) -> Canvas | None:
-    """Truth above, errors (estimate minus truth) below, for at most three quantities of the first kept run."""
+    """Truth above, errors (estimate minus truth) below, for at most three quantities (or those asked for) of a
+    kept run."""
     units = cell.quantity_units()
-    names = [name for name in units if any(np.isfinite(track.truth).any() for (label, key), track in cell.kept.items()
-                                           if key == name and label)][:MOST]
+    names = cell.chosen([name for name in units if any(
+        np.isfinite(track.truth).any() for (label, key), track in cell.kept.items() if key == name and label)], MOST)
     labels = [label for label in cell.labels if any((label, name) in cell.kept for name in names)]
     if not names:
         return None
