@@ -17,9 +17,9 @@ from ..planning.plan import Plan
 from ..running.runner import Machinery
 from ..store.folder import Store
 from ..studies.complete import complete, default_folder
-from ..telling.console import print_json, print_table
+from ..telling.console import hush, print_json, print_table
 from ..telling.markup import to_latex, to_markdown
-from .options import Jobs, Seed
+from .options import Jobs, Json, Seed
 
 RUNS, SEED = 400, 1
 """Those of the committed tables."""
@@ -33,7 +33,7 @@ def reproduce(
     out: Annotated[str, typer.Option(
         help="Folder for published.csv, .json, .md and .tex (results/published for the whole of it).")] = "",
     rows: Annotated[str, typer.Option(help="Folder for the rows behind it; continued if unfinished.")] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the document of published.json instead.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Set our numbers beside the published ones. Exits with 1 when a verdict is not the expected one."""
     from ..published import tables
@@ -41,6 +41,7 @@ def reproduce(
     from ..published.reproduce import plan_for
     from ..published.reproduce import reproduce as reproduced
 
+    hush(as_json)
     if runs < 2:
         raise InputError("--runs: must be at least 2, or no number has an error to be judged by")
     whole = not papers and (runs, seed) == (RUNS, SEED)
@@ -62,7 +63,7 @@ def reproduce(
                                                [("Published numbers, reproduced", summary, []), *printed]))
     store.write_text("published.tex", "\n".join(to_latex(*one) for one in printed))
     wrong = [(each.paper.name, line) for each in done for line in each.lines if line.unexpected]
-    if as_json:
+    if as_json:  # what published.json holds
         print_json(document)
     else:
         for title, part, notes in printed:
