@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import Array, Index
 from .against import against
 from .counters import TOP_SPEED
-from .findings import Finding, leave_out
+from .findings import Finding, leave_out, spans
 from .times import DAY, HOUR
 
 SENTINELS = (-9999.0, -999.0, -99999.0, 9999.0, 99999.0, -32768.0, 32767.0, 65535.0, 999999.0, -999999.0)
@@ -21,6 +21,8 @@ HARDEST, SLACK, SPREADS, TOLD = 3.0, 5.0, 12.0, 4.0
 ones: the last number) from where its own pace leads."""
 FROZEN, SAMPLES = 30.0, 20
 """A reading is frozen where it is the same to the last digit for so many s, and so many samples."""
+WIDER = 20
+"""How often what is to be left out grows, where a place jumps again over what was left out before."""
 OFFSIDE = 50.0
 """m across the line, above which a fix is said to be off it."""
 PLACES, PACES = ("position", "reference_position", "balise"), ("speed", "reference_speed")
@@ -104,9 +106,39 @@ def _no_values(role: str, values: Array, there: Index, time: Array) -> Iterator[
 
 
 def _jumps(role: str, time: Array, place: Array, told: Array) -> Iterator[Finding]:
+    pace = np.diff(place) / np.diff(time)
+    what = {"position": "the position", "balise": "the place by balises"}.get(role, "the reference")
+    jump, ahead = _jumping(time, place, told)
+    if not len(jump):
+        if np.abs(pace).max() < 0.3 and abs(place[-1] - place[0]) > 5 and time[-1] > 60:
+            yield Finding("odd", role, f"{what} never moves faster than {np.abs(pace).max():.3g} m/s: is its unit "
+                          "right?")
+        return
+    k = jump[np.argmax(np.abs(pace[jump]))]
+    places = f" ({len(jump)} such places)" if len(jump) > 1 else ""
+    verb = "moves" if np.abs(pace[k]) > TOP_SPEED else "jumps"
+    text = (f"{what} moves at {abs(pace[k]):.0f} m/s at t = {time[k + 1]:.6g} s" if verb == "moves" else
+            f"{what} jumps by {abs(ahead[max(k - 1, 0)]):.3g} m at t = {time[k + 1]:.6g} s")
+    rows, cure = np.zeros(0, dtype=np.int64), ""
+    for _ in range(WIDER):  # until what is left has none
+        left = np.ones(len(time), dtype=bool)
+        for begin, end in spans(time, rows):
+            left &= (time < begin) | (time > end)
+        at = np.flatnonzero(left)
+        more = _jumping(time[at], place[at], told[at])[0] if len(at) > 3 else np.zeros(0, dtype=np.int64)
+        if not len(more):
+            cure = leave_out(time, rows)
+            break
+        rows = np.union1d(rows, np.union1d(at[more], at[np.minimum(more + 1, len(at) - 1)]))
+    cure = cure or f"for good; one side alone is --to {np.floor(time[k]):.0f} or --from {np.ceil(time[k + 1]):.0f}"
+    yield Finding("impossible", role, f"{text}{places}: {cure}",
+                  reading=not role.startswith("reference"))
+
+
+def _jumping(time: Array, place: Array, told: Array) -> tuple[Index, Array]:
+    """The steps that no train makes, and how far each place is from where the pace before leads (N - 2,), m."""
     lengths, moved = np.diff(time), np.diff(place)
     pace = moved / lengths
-    what = {"position": "the position", "balise": "the place by balises"}.get(role, "the reference")
     sure = np.nan_to_num(told)
     sure = TOLD * (sure[1:] + sure[:-1])  # what the readings themselves leave open
     fast = np.flatnonzero(np.abs(moved) > TOP_SPEED * lengths + sure)
@@ -115,21 +147,7 @@ def _jumps(role: str, time: Array, place: Array, told: Array) -> Iterator[Findin
     limit = SLACK + HARDEST * lengths[1:] * (lengths[1:] + lengths[:-1]) / 2 + SPREADS * usual
     limit += sure[1:] + sure[:-1] * lengths[1:] / lengths[:-1]
     # a jump leads from the usual pace to another: the step itself, not the one after it
-    jump = np.flatnonzero(np.abs(ahead) > limit) + 1
-    jump = np.union1d(jump, fast)
-    if not len(jump):
-        if np.abs(pace).max() < 0.3 and abs(place[-1] - place[0]) > 5 and time[-1] > 60:
-            yield Finding("odd", role, f"{what} never moves faster than {np.abs(pace).max():.3g} m/s: is its unit "
-                          "right?")
-        return
-    k = jump[np.argmax(np.abs(pace[jump]))]
-    rows = np.union1d(jump, np.minimum(jump + 1, len(time) - 1))
-    places = f" ({len(jump)} such places)" if len(jump) > 1 else ""
-    verb = "moves" if np.abs(pace[k]) > TOP_SPEED else "jumps"
-    text = (f"{what} moves at {abs(pace[k]):.0f} m/s at t = {time[k + 1]:.6g} s" if verb == "moves" else
-            f"{what} jumps by {abs(ahead[max(k - 1, 0)]):.3g} m at t = {time[k + 1]:.6g} s")
-    yield Finding("impossible", role, f"{text}{places}: {leave_out(time, rows)}",
-                  reading=not role.startswith("reference"))
+    return np.union1d(np.flatnonzero(np.abs(ahead) > limit) + 1, fast), ahead
 
 
 def _paces(role: str, time: Array, speed: Array) -> Iterator[Finding]:

@@ -105,7 +105,7 @@ def test_slip_is_found_from_the_command_line(folder: Path, railstate: Command) -
     columns = ",".join(f"{role}={name}" for role, name in METRO.items())
     done = railstate("run", "recorded-odometry/wheels", "--recording", folder / "metro.csv", "--map", columns,
                      "--balises", folder / "balises.csv", "--runs", 1, "--jobs", 1, "--out", folder / "out")
-    assert done.code == 0 and "5 ok" in done.out, done.out + done.err
+    assert done.code == 0 and "6 ok" in done.out, done.out + done.err
     rows = pd.concat(pd.read_parquet(path) for path in (folder / "out" / "rows").iterdir())
     rows = rows.set_index("estimator")
     error, kept = rows["rmse:position:m"], rows["kept:odometry:1"]

@@ -3,6 +3,7 @@ what is scored."""
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -293,3 +294,16 @@ def test_an_accelerometer_bridges_better(tmp_path):
     ends = {label: run(chosen, label, 60, "sweep")[2].outcomes["rmse", "position-outage-end", "m"]
             for label in ("ekf", "ekf-accelerometer")}
     assert np.sqrt((ends["ekf-accelerometer"]**2).mean()) < 0.3 * np.sqrt((ends["ekf"]**2).mean())
+
+
+@pytest.mark.parametrize("shift", [40.0, 3000.0])
+def test_what_is_said_to_be_left_out_is_enough(tmp_path, shift):
+    """A place that is off from some time on: leaving out what is named, or one side, ends the complaint."""
+    table = tram()
+    table.loc[90:, "s_ref_m"] += shift
+    path = write(tmp_path / "trip.csv", table)
+    message = refused(path)
+    spans = [[float(part) for part in text.split("..")] for text in re.findall(r"--without (\S+\.\.\S+)", message)]
+    ends = [float(text) for text in re.findall(r"--to (\d+)", message)]
+    assert bool(spans) != bool(ends)
+    assert read(path, **({"without": spans} if spans else {"span": [0.0, ends[0]]})).known["position"].all()
