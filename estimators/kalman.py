@@ -9,11 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from ..scenarios.arrays import Array
+from ..scenarios.compiled import Compiled
 from ..scenarios.measurement import Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Innovation, Status, flag
-from .kernels.core import congruence
+from .kernels.core import congruence, extended_predict
 from .kernels.kalman import kalman_update, shared_kalman_update
 
 SINGULAR_INNOVATION = "an innovation covariance was not positive definite"
@@ -23,9 +24,9 @@ class ExtendedKalman(Estimator):
     """x- = f(x, u), P- = F P F' + Q; K = P- H'(H P- H' + R)^-1, x = x- + K (y - h(x-)), P by its factors.
 
     F and H are the Jacobians at the latest estimate. The update works on P = L D L' (Bierman, Factorization Methods
-    for Discrete Sequential Estimation, 1977), so that no rounding makes a variance negative. Elements of y that are missing get no gain; correlated noise is
-    decorrelated over the elements received. The covariance is kept as (nx, nx, 1) as long as the Jacobians, Q and
-    the reception are the same for all runs."""
+    for Discrete Sequential Estimation, 1977), so that no rounding makes a variance negative. Elements of y that are
+    missing get no gain; correlated noise is decorrelated over the elements received. The covariance is kept as (nx, nx,
+    1) as long as the Jacobians, Q and the reception are the same for all runs."""
 
     family = "EKF, Kalman"
     summary = "extended Kalman filter (first-order linearisation)"
@@ -44,14 +45,18 @@ class ExtendedKalman(Estimator):
         self._shared_variance = np.zeros((model.ny, 1))
 
     def predict(self, u: Array, interval: Interval) -> None:
-        model, x = self.model, self._mean
-        assert model.transition_jacobian is not None and model.process_covariance is not None
-        f = np.ascontiguousarray(model.transition_jacobian(x, u, interval))
+        model, x, f, F = self.model, self._mean, self.model.transition, self.model.transition_jacobian
+        assert F is not None and model.process_covariance is not None
         q = np.ascontiguousarray(model.process_covariance(x, u, interval))
-        self._mean = np.ascontiguousarray(model.transition(x, u, interval))
-        if f.shape[2] > 1 or q.shape[2] > 1:
+        if isinstance(f, Compiled) and isinstance(F, Compiled) and f.given is F.given:
             self._expand()
-        congruence(f, self._covariance, q, self._covariance)
+            extended_predict(f.address, F.address, *f.arguments(u, interval)[1:], q, x, self._covariance)
+            return
+        jacobian = np.ascontiguousarray(F(x, u, interval))
+        self._mean = np.ascontiguousarray(f(x, u, interval))
+        if jacobian.shape[2] > 1 or q.shape[2] > 1:
+            self._expand()
+        congruence(jacobian, self._covariance, q, self._covariance)
 
     def update(self, measurement: Measurement) -> Innovation | None:
         model, x, (y, received, at, *_) = self.model, self._mean, measurement

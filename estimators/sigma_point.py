@@ -1,6 +1,6 @@
 """Sigma-point Kalman filters: unscented (scaled or Julier's points) and cubature, one transform with given weights.
 
-The filter always holds the sigma points of its present belief, so a step costs one model call and one kernel each."""
+Between calls live mean and covariance alone; where the model is compiled, points never leave the cache."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..scenarios.arrays import Array
+from ..scenarios.compiled import Compiled
 from ..scenarios.errors import Infeasible
 from ..scenarios.measurement import Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Innovation, Parameters, Status, flag
-from .kernels.unscented import sigma_points, unscented_predict, unscented_update
+from .kernels.kalman import kalman_update
+from .kernels.unscented import linearised, sigma_points, unscented_predict
 
 NOT_DEFINITE = "a covariance was not positive definite"
 Weights = tuple[Array, Array, float]
@@ -26,9 +28,10 @@ Weights = tuple[Array, Array, float]
 class SigmaPointKalman(Estimator):
     """Points X = x, x +- c L_i with P = L L'; moments of f(X) plus Q; moments of h(X) plus R; K = Pxy S^-1.
 
-    The covariance after an update is the Joseph form of the transform, sum w (dX - K dY)(dX - K dY)' + K R K', equal
-    to P - K S K' in exact arithmetic, symmetric, and positive semidefinite whatever the rounding where no covariance
-    weight is negative. Missing elements get no gain."""
+    Where h is linear the points would give H P H' and P H' exactly, so the update is the Kalman filter's; any other h
+    is replaced by its regression over the points (Lefebvre, Bruyninckx and De Schutter, IEEE TAC 47(8), 2002), with
+    h = Pyx P^-1 and the noise R + Pyy - h P h', which gives the same S, Pxy and so the same K. Missing elements get no
+    gain."""
 
     needs = ("process_covariance", "measurement_covariance")
     claims = ("covariance",)
@@ -47,55 +50,76 @@ class SigmaPointKalman(Estimator):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        n = model.nx
+        n, ny = model.nx, model.ny
         self._weights_mean, self._weights_covariance, self._scale = self.weights(n)
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(np.broadcast_to(model.initial_covariance, (n, n, runs)), order="C")
-        self._points = np.empty((n, len(self._weights_mean), runs))
-        self._deviations = np.empty_like(self._points)
         self._failed = np.zeros(runs, dtype=bool)
-        self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))
-        self._all = np.arange(runs)
-        self._nothing = np.zeros((n, n, 1))
-        self._unspread = self._nothing
-        self._draw()
+        self._residual, self._variance = np.zeros((ny, runs)), np.zeros((ny, runs))
+        self._everyone, self._none = np.arange(runs), np.empty((n, 0, 0))
+        self._linear = self.redraw and model.linear_measurement and model.measurement_jacobian is not None
+        self._propagated: Array | None = None
 
     def predict(self, u: Array, interval: Interval) -> None:
-        model = self.model
+        model, transition = self.model, self.model.transition
         assert model.process_covariance is not None
         q = np.ascontiguousarray(model.process_covariance(self._mean, u, interval))
-        if self._unspread is not self._nothing:
-            self._draw()
-        moved = np.ascontiguousarray(model.transition(self._points, u, interval))
-        # Drawing points anew would change the last bits of runs that stand still.
-        moving = self._all if isinstance(interval.length, float) else np.flatnonzero(interval.length)
-        if unscented_predict(moved, moving, self._weights_mean, self._weights_covariance, q, self._scale, self.redraw,
-                             self._mean, self._covariance, self._points, self._deviations, self._failed):
-            flag(self, self._failed, Status.failed, NOT_DEFINITE)
+        # Points drawn anew would change the last bits of runs that stand still.
+        moving = self._everyone if isinstance(interval.length, float) else np.flatnonzero(interval.length)
+        if isinstance(transition, Compiled) and self.redraw:
+            arguments, moved = transition.arguments(u, interval), self._none
+        else:
+            arguments = (0, self._mean, self._weights_mean, self._weights_mean)
+            moved = np.ascontiguousarray(transition(self._draw()[0], u, interval))
+        self._flag(unscented_predict(*arguments, moving, self._weights_mean, self._weights_covariance, self._scale, q,
+                                     self._mean, self._covariance, moved, self._failed))
         if not self.redraw:
-            self._points, self._unspread = moved, q
+            if self._propagated is not None and len(moving) < self.runs:
+                still = np.setdiff1d(self._everyone, moving)
+                moved[:, :, still] = self._propagated[:, :, still]
+            self._propagated = moved
 
     def update(self, measurement: Measurement) -> Innovation | None:
-        model = self.model
+        model, (y, received, at, *_) = self.model, measurement
         assert model.measurement_covariance is not None
-        images = np.ascontiguousarray(model.measurement(self._points, measurement.step))
-        if unscented_update(self._mean, self._covariance, self._points, self._deviations, images, self._weights_mean,
-                            self._weights_covariance, self._scale, measurement.y, measurement.received,
-                            np.ascontiguousarray(model.measurement_covariance(measurement)), self._unspread,
-                            self._residual, self._variance, self._failed):
-            flag(self, self._failed, Status.failed, NOT_DEFINITE)
-        if self._unspread is not self._nothing:
-            self._draw()
+        r = np.ascontiguousarray(model.measurement_covariance(measurement))
+        if self._linear:
+            assert model.measurement_jacobian is not None
+            h = np.ascontiguousarray(model.measurement_jacobian(self._mean, at))
+            predicted = np.ascontiguousarray(model.measurement(self._mean, at))
+        else:
+            predicted, h, r = self._regress(r, at)
+        self._flag(kalman_update(self._mean, self._covariance, y, predicted, received, h, r, self._residual,
+                                 self._variance, self._failed))
         return Innovation(self._residual, self._variance)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, covariance=self._covariance)
 
-    def _draw(self) -> None:
-        """Fresh points of every run from its mean and covariance."""
-        if sigma_points(self._mean, self._covariance, self._scale, self._points, self._deviations, self._failed):
+    def _regress(self, r: Array, step: int) -> tuple[Array, Array, Array]:
+        """The measurement as a linear one with more noise: its mean (ny, S), h (ny, nx, S), R (ny, ny, S)."""
+        if self._propagated is None:
+            points, deviations = self._draw()
+        else:
+            points, self._propagated = self._propagated, None
+            deviations = points - self._mean[:, None]
+        n, ny, runs = self.model.nx, self.model.ny, self.runs
+        images = np.array(self.model.measurement(points, step), order="C")  # a copy even of the state itself
+        predicted, h, noise = np.empty((ny, runs)), np.empty((ny, n, runs)), np.empty((ny, ny, runs))
+        self._flag(linearised(deviations, images, self._weights_mean, self._weights_covariance, self._covariance, r,
+                              predicted, h, noise, self._failed))
+        return predicted, h, noise
+
+    def _draw(self) -> tuple[Array, Array]:
+        """Points of every run from its mean and covariance, and their deviations (nx, m, S)."""
+        points = np.empty((self.model.nx, len(self._weights_mean), self.runs))
+        deviations = np.empty_like(points)
+        self._flag(sigma_points(self._mean, self._covariance, self._scale, points, deviations, self._failed))
+        return points, deviations
+
+    def _flag(self, failed: int) -> None:
+        if failed:
             flag(self, self._failed, Status.failed, NOT_DEFINITE)
-        self._unspread = self._nothing
 
 
 class UnscentedKalman(SigmaPointKalman):

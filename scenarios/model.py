@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from .arrays import Array, read_only
+from .compiled import Compiled, affine
 from .errors import InputError, Unsupported
 from .measurement import Interval, Measurement, told
 
@@ -140,6 +141,8 @@ class DesignModel:
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
     appended: how many states stand behind the setting's own (`augmented`); those are not scored and steer nothing.
+    linear_measurement: promises measurement(x, step) = H(step) x + constant, with one measurement_jacobian for every x,
+    by which sigma-point filters then update exactly. Transition and its Jacobian may be `Compiled`.
     tells: measurements whose sensors tell their own covariance, so that an estimator that cannot use it refuses.
     `details` carries plant-specific knowledge for estimators written for that plant (keys told by the setting)."""
 
@@ -164,6 +167,7 @@ class DesignModel:
     tells: tuple[str, ...] = ()
     input_jacobian: Callable[[Array, Array, Interval], Array] | None = None
     appended: int = 0
+    linear_measurement: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError for functions of the first edition, which took a step and a portion of it."""
@@ -220,20 +224,21 @@ def linear_model(
 
     The matrices are those of whole steps: asked for a part of one, the transition raises Unsupported."""
 
-    def transition(x: Array, u: Array, interval: Interval) -> Array:
+    def packed(k: int) -> Array:
+        A, B = linear.A(k), linear.B(k)
+        return np.concatenate([B.shape, *map(np.ravel, (A, B, linear.h(k)))])
+
+    always = packed(0) if linear.constant else None
+
+    def given(interval: Interval, runs: int) -> tuple[Array, Array]:
         whole_steps(interval, "this linear design model")
-        k = interval.depart
-        moved = product(linear.A(k), x) + linear.h(k).reshape((-1,) + (1,) * (x.ndim - 1))
-        if u.shape[0]:
-            drive = product(linear.B(k), u)
-            moved = moved + drive.reshape(drive.shape[:1] + (1,) * (x.ndim - 2) + drive.shape[1:])
-        return moved
+        return packed(interval.depart) if always is None else always, np.empty(runs)
 
     return DesignModel(
         states=states,
         measurements=measurements,
         period=period,
-        transition=transition,
+        transition=Compiled(affine, linear.B(0).shape[1], given),
         measurement=lambda x, step: product(linear.C(step), x),
         transition_jacobian=lambda x, u, interval: linear.A(interval.depart)[:, :, None],
         measurement_jacobian=lambda x, step: linear.C(step)[:, :, None],
@@ -242,6 +247,7 @@ def linear_model(
         initial_mean=initial_mean,
         initial_covariance=initial_covariance,
         linear=linear,
+        linear_measurement=True,
         **parts,  # pyright: ignore[reportArgumentType]
     )
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from ...scenarios.compiled import call
+
 # No fastmath and no BLAS: both would make a run's bits depend on its neighbours. error_model: division by zero gives
 # inf, as in NumPy, which keeps branches out of the inner loops.
 kernel = njit(cache=True, error_model="numpy")
@@ -21,8 +23,8 @@ INDEFINITE = 1e-9
 
 @kernel
 def tile_width(n, runs):
-    """How many runs to take at a time so that a few (n, n, width) arrays stay in the cache."""
-    return min(runs, max(32, 512 // max(n, 1)))
+    """How many runs to take at a time: a few (n, n, width) arrays stay in the cache, and whole vectors fit."""
+    return min(runs, max(64, 512 // max(n, 1) // 32 * 32))
 
 
 @kernel
@@ -181,6 +183,35 @@ def _symmetric_half(t, f, q, out, width):
                 k += 1
             for s in range(width):
                 out[j, i, s] = out[i, j, s]
+
+
+@kernel
+def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance):
+    """mean (n, S) := f(mean, u), covariance (n, n, S) := F covariance F' + q (n, n, S or 1), block by block, in place.
+
+    transition, jacobian: compiled functions by address, and what both take (`compiled.SIGNATURE`)."""
+    n, runs = mean.shape
+    wide = tile_width(n, runs)
+    index = np.empty(wide, np.int64)
+    x, moved, f = np.empty((n, wide)), np.empty((n, wide)), np.empty((n, n, wide))
+    inputs, times, lengths = np.empty((u.shape[0], wide)), np.empty((1, wide)), seconds.reshape(1, runs)
+    tile_q = np.empty((n, n, 1 if q.shape[2] == 1 else wide))
+    p, half = np.empty((n, n, wide)), np.empty((n, n, wide))
+    for first in range(0, runs, wide):
+        width = min(wide, runs - first)
+        for s in range(width):
+            index[s] = first + s
+        gather2(mean, index, width, x)
+        gather2(u, index, width, inputs)
+        gather2(lengths, index, width, times)
+        gather3(q, index, width, tile_q)
+        gather3(covariance, index, width, p)
+        call(transition, x, inputs, times, data, 1, width, wide, moved)
+        call(jacobian, x, inputs, times, data, 1, width, wide, f)
+        _half(f, p, half, width)
+        _symmetric_half(half, f, tile_q, p, width)
+        scatter2(moved, index, width, mean)
+        scatter3(p, index, width, covariance)
 
 
 @kernel

@@ -6,35 +6,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from .core import (
-    INDEFINITE,
-    SMALLEST_PIVOT_RATIO,
-    factorise,
-    forward,
-    gather2,
-    gather3,
-    kernel,
-    scatter2,
-    scatter3,
-    tile_width,
-)
-
-SMALLEST = float(np.finfo(float).tiny)
-"""The smallest number that has a reciprocal."""
+from .core import factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+from .factors import compose, decompose, sequential, shift
 
 
 @kernel
 def receivers(received):
     """Numbers of the runs that received at least one element, increasing."""
-    runs = received.shape[1]
-    index = np.empty(runs, np.int64)
+    ny, runs = received.shape
+    some, index = np.zeros(runs, np.bool_), np.empty(runs, np.int64)
+    for j in range(ny):
+        got = received[j]
+        for s in range(runs):
+            some[s] |= got[s]
     count = 0
     for s in range(runs):
-        for j in range(received.shape[0]):
-            if received[j, s]:
-                index[count] = s
-                count += 1
-                break
+        index[count] = s
+        count += some[s]
     return index[:count]
 
 
@@ -42,163 +30,9 @@ def receivers(received):
 def innovate(y, predicted, received, out, width):
     """out := y - predicted where received, 0 elsewhere (there y is not used: it may be NaN). All (ny, >= width)."""
     for j in range(y.shape[0]):
+        seen, guess, got, left = y[j], predicted[j], received[j], out[j]
         for s in range(width):
-            out[j, s] = y[j, s] - predicted[j, s] if received[j, s] else 0.0
-
-
-@kernel
-def decompose(p, failed, width):
-    """p (n, n, width) := L below the diagonal and D on it, p = L D L' with L unit lower triangular, in place.
-
-    A pivot of zero (to rounding: SMALLEST_PIVOT_RATIO, INDEFINITE) is a direction without uncertainty, and its column
-    of L zero. failed (width,) is set, and entries NaN, where p is indefinite. Only the lower triangle is read."""
-    n = p.shape[0]
-    work = np.empty((n + 2, width))
-    scale, inverse, row = work[:n], work[n], work[n + 1]
-    for j in range(n):
-        for s in range(width):
-            scale[j, s] = abs(p[j, j, s])
-    for j in range(n):
-        for s in range(width):
-            pivot = p[j, j, s]
-            good = pivot >= -INDEFINITE * scale[j, s]
-            positive = pivot > SMALLEST_PIVOT_RATIO * scale[j, s] and pivot > SMALLEST
-            inverse[s] = 1.0 / pivot if positive else 0.0
-            p[j, j, s] = (pivot if positive else 0.0) if good else np.nan
-            failed[s] |= not good
-        for i in range(n - 1, j, -1):
-            for s in range(width):  # nothing may be correlated with a direction without uncertainty
-                entry = p[i, j, s]
-                bad = inverse[s] == 0.0 and entry * entry > INDEFINITE * (scale[i, s] * scale[j, s])
-                failed[s] |= bad
-                row[s] = np.nan if bad else entry * inverse[s]
-            for k in range(j + 1, i + 1):
-                for s in range(width):
-                    p[i, k, s] -= row[s] * p[k, j, s]
-            for s in range(width):
-                p[i, j, s] = row[s]
-
-
-@kernel
-def compose(p, width):
-    """p (n, n, width) := L D L', both triangles, in place of L and D as `decompose` leaves them."""
-    n = p.shape[0]
-    scaled = np.empty((n, width))
-    for a in range(n - 1, -1, -1):
-        for k in range(a):
-            for s in range(width):
-                scaled[k, s] = p[a, k, s] * p[k, k, s]
-        for k in range(a):
-            for s in range(width):
-                p[a, a, s] += scaled[k, s] * p[a, k, s]
-        for b in range(a):
-            for s in range(width):
-                p[a, b, s] = scaled[b, s]
-            for k in range(b):
-                for s in range(width):
-                    p[a, b, s] += scaled[k, s] * p[b, k, s]
-    for a in range(n):
-        for b in range(a):
-            for s in range(width):
-                p[b, a, s] = p[a, b, s]
-
-
-@kernel
-def sequential(p, h, variance, received, gain, spread, failed, width):
-    """Measurements h (ny, n, width or 1) of uncorrelated noise, one after the other, on p (n, n, width) as `decompose`
-    leaves it: L and D after them (Bierman's update, with L lower in place of U upper).
-
-    variance (ny, width or 1) of the noise; spread (ny, width): h P h' + r of each in turn, summed from terms that are
-    not negative, as D is multiplied by ratios that are not: no cancellation can make a variance negative. gain (n, ny,
-    width): each scalar step's gain K = P h'/(h P h' + r), zero where not received, where nothing changes. failed is
-    set where h P h' + r <= 0."""
-    n = p.shape[0]
-    shared, own = h.shape[2] == 1, variance.shape[1] > 1
-    work = np.empty((2 * n + 4, width))
-    seen, gained = work[:n], work[n:2 * n]
-    total, inverse, moved, step = work[2 * n], work[2 * n + 1], work[2 * n + 2], work[2 * n + 3]
-    for j in range(h.shape[0]):
-        got = received[j]
-        last = n - 1
-        while shared and last >= 0 and h[j, last, 0] == 0.0:
-            last -= 1
-        for i in range(last + 1):  # L' h
-            if shared:
-                weight = h[j, i, 0]
-                for s in range(width):
-                    seen[i, s] = weight
-            else:
-                for s in range(width):
-                    seen[i, s] = h[j, i, s]
-            for k in range(i + 1, last + 1):
-                if not shared:
-                    for s in range(width):
-                        seen[i, s] += h[j, k, s] * p[k, i, s]
-                elif h[j, k, 0] != 0.0:
-                    weight = h[j, k, 0]
-                    for s in range(width):
-                        seen[i, s] += weight * p[k, i, s]
-        noise = variance[j, 0]
-        for s in range(width):
-            total[s] = (variance[j, s] if own else noise) if got[s] else 1.0
-            inverse[s] = 1.0 / total[s] if total[s] > 0.0 else 0.0
-        for i in range(n):
-            for s in range(width):
-                gained[i, s] = 0.0
-        for i in range(last, -1, -1):
-            for s in range(width):
-                f = seen[i, s] if got[s] else 0.0
-                moved[s] = p[i, i, s] * f
-                step[s] = -f * inverse[s]
-                before = total[s]
-                total[s] = before + f * moved[s]
-                inverse[s] = 1.0 / total[s] if total[s] > 0.0 else 0.0
-                p[i, i, s] *= before * inverse[s] if total[s] > 0.0 else 1.0
-            for k in range(i + 1, n):
-                for s in range(width):
-                    before = p[k, i, s]
-                    p[k, i, s] = before + gained[k, s] * step[s]
-                    gained[k, s] += before * moved[s]
-            for s in range(width):
-                gained[i, s] = moved[s]
-        for s in range(width):
-            spread[j, s] = total[s]
-            failed[s] |= not total[s] > 0.0
-            inverse[s] = inverse[s] if got[s] else 0.0
-        for i in range(n):
-            for s in range(width):
-                gain[i, j, s] = gained[i, s] * inverse[s]
-
-
-@kernel
-def shift(mean, innovation, h, gain, width):
-    """mean (n, width) moved by the scalar steps of `sequential`: dx += K_j (innovation_j - h_j dx), j = 0, 1, ..
-
-    h (ny, n, width or 1), gain (n, ny, width or 1). innovation (ny, width) becomes what is left of each in turn."""
-    n = mean.shape[0]
-    change = np.zeros((n, width))
-    for j in range(h.shape[0]):
-        left = innovation[j]
-        if j > 0:
-            for k in range(n):
-                if h.shape[2] > 1:
-                    for s in range(width):
-                        left[s] -= h[j, k, s] * change[k, s]
-                elif h[j, k, 0] != 0.0:
-                    weight = h[j, k, 0]
-                    for s in range(width):
-                        left[s] -= weight * change[k, s]
-        for i in range(n):
-            if gain.shape[2] > 1:
-                for s in range(width):
-                    change[i, s] += gain[i, j, s] * left[s]
-            else:
-                weight = gain[i, j, 0]
-                for s in range(width):
-                    change[i, s] += weight * left[s]
-    for i in range(n):
-        for s in range(width):
-            mean[i, s] += change[i, s]
+            left[s] = seen[s] - guess[s] if got[s] else 0.0
 
 
 @kernel
@@ -268,7 +102,7 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, residual, vari
     mean (nx, S), covariance (nx, nx, S), y and predicted = h(mean) (ny, S), received (ny, S) bool, h (ny, nx, S or 1),
     r (ny, ny, S or 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over
     the elements received. residual, variance (ny, S): the innovation of each element received, in turn. failed (S,) is
-    set, and the run's numbers NaN, where an innovation variance is not positive."""
+    set, and the run's numbers NaN, where the covariance is indefinite or an innovation variance is not positive."""
     index = receivers(received)
     bad = 0
     for diagonal in (True, False):
@@ -283,49 +117,54 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, residual, vari
 def _update_kind(mean, covariance, y, predicted, received, h, r, residual, variance, failed, index, diagonal):
     """`kalman_update` of the runs of index, whose noise is of one kind."""
     n, ny, own = mean.shape[0], y.shape[0], r.shape[2] > 1
-    wide = max(1, tile_width(n, len(index)))
-    noise, tile = np.ones((ny, wide if own and diagonal else 1)), np.empty((ny, ny, wide if own else 1))
+    wide = tile_width(n, len(index))
+    noise = np.ones((ny, wide if own and diagonal else 1))
     if diagonal and not own:
         for j in range(ny):
             noise[j, 0] = r[j, j, 0]
+    cubes, rows = np.empty((n + ny, n, wide)), np.empty((2 * n + 4 * ny + 3, wide))
+    p, gain, x, work = cubes[:n], cubes[n:], rows[:n], rows[n:2 * n + 3]
+    seen, guess = rows[2 * n + 3:2 * n + 3 + ny], rows[2 * n + 3 + ny:2 * n + 3 + 2 * ny]
+    innovation, spread = rows[2 * n + 3 + 2 * ny:2 * n + 3 + 3 * ny], rows[2 * n + 3 + 3 * ny:]
+    got, lost = np.empty((ny, wide), np.bool_), np.empty(wide, np.bool_)
+    jacobian = h if h.shape[2] == 1 else np.empty((ny, n, wide))
+    tile = r if not own or diagonal else np.empty((ny, ny, wide))
     bad = 0
-    x, p = np.empty((n, wide)), np.empty((n, n, wide))
-    measured, guess, got = np.empty((ny, wide)), np.empty((ny, wide)), np.empty((ny, wide), np.bool_)
-    jacobian, gain = np.empty((ny, n, 1 if h.shape[2] == 1 else wide)), np.empty((n, ny, wide))
-    innovation, spread = np.zeros((ny, wide)), np.empty((ny, wide))
     for first in range(0, len(index), wide):
         width = min(wide, len(index) - first)
         part = index[first:first + width]
         gather2(mean, part, width, x)
         gather3(covariance, part, width, p)
-        gather2(y, part, width, measured)
+        gather2(y, part, width, seen)
         gather2(predicted, part, width, guess)
         gather2(received, part, width, got)
-        gather3(h, part, width, jacobian)
-        innovate(measured, guess, got, innovation, width)
-        lost = np.zeros(width, np.bool_)
-        decompose(p, lost, width)
+        if h.shape[2] > 1:
+            gather3(h, part, width, jacobian)
+        for s in range(width):
+            lost[s] = False
+        innovate(seen, guess, got, innovation, width)
+        decompose(p, lost, work, width)
         if diagonal:
-            if own:
-                for j in range(ny):
-                    for s in range(width):
-                        noise[j, s] = r[j, j, part[s]]
-            sequential(p, jacobian, noise, got, gain, spread, lost, width)
-            shift(x, innovation, jacobian, gain, width)
+            for j in range(ny if own else 0):
+                for s in range(width):
+                    noise[j, s] = r[j, j, part[s]]
+            sequential(p, jacobian, noise, got, gain, spread, lost, work, width)
+            shift(x, innovation, jacobian, gain, work, width)
         else:
-            gather3(r, part, width, tile)
+            if own:
+                gather3(r, part, width, tile)
             white, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
-            sequential(p, white, noise, got, gain, spread, lost, width)
-            shift(x, innovation, white, gain, width)
+            sequential(p, white, noise, got, gain, spread, lost, work, width)
+            shift(x, innovation, white, gain, work, width)
             for j in range(ny):
                 for s in range(width):
                     innovation[j, s] /= inverse[j, s]
                     spread[j, s] /= inverse[j, s] * inverse[j, s]
-        compose(p, width)
+        compose(p, work, width)
         for s in range(width):
-            failed[part[s]] |= lost[s]
-            bad += lost[s]
             if lost[s]:
+                failed[part[s]] = True
+                bad += 1
                 _spoil(x, p, s)
         scatter2(innovation, part, width, residual)
         scatter2(spread, part, width, variance)
@@ -340,20 +179,21 @@ def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residua
     r (ny, ny, 1) is diagonal, and the gains and variance (ny, 1) are computed once for all runs. Bit-identical to
     `kalman_update` on each run."""
     n, ny, runs = mean.shape[0], y.shape[0], mean.shape[1]
-    noise, gain, lost = np.empty((ny, 1)), np.empty((n, ny, 1)), np.zeros(1, np.bool_)
+    noise, gain, lost = np.empty((ny, 1)), np.empty((ny, n, 1)), np.zeros(1, np.bool_)
+    work = np.empty((n + 3, runs))
     for j in range(ny):
         noise[j, 0] = r[j, j, 0]
-    decompose(covariance, lost, 1)
-    sequential(covariance, h, noise, received, gain, variance, lost, 1)
-    compose(covariance, 1)
+    decompose(covariance, lost, work, 1)
+    sequential(covariance, h, noise, received, gain, variance, lost, work, 1)
+    compose(covariance, work, 1)
     innovate(y, predicted, received, residual, runs)
-    shift(mean, residual, h, gain, runs)
+    shift(mean, residual, h, gain, work, runs)
     if lost[0]:
+        _spoil(mean, covariance, 0)
         for s in range(runs):
             failed[s] = True
-            for i in range(n):
-                mean[i, s] = np.nan
-        _spoil(mean, covariance, 0)
+            for a in range(n):
+                mean[a, s] = np.nan
     return runs if lost[0] else 0
 
 

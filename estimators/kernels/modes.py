@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from .core import HALF_LOG_TURN
-from .kalman import compose, decompose, sequential, shift
+from .factors import compose, decompose, sequential, shift
 
 
 @njit(cache=True)
@@ -71,18 +71,18 @@ def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
                     P[j, i, k] = P[i, j, k]
     r = len(yw)
     rows, noise = Cw.copy().reshape(r, nx, 1), np.ones((r, 1))
-    got, lost = np.ones((r, c), np.bool_), np.zeros(c, np.bool_)
-    gain, spread, innovation = np.empty((nx, r, c)), np.empty((r, c)), np.empty((r, c))
+    got, lost, work = np.ones((r, c), np.bool_), np.zeros(c, np.bool_), np.empty((nx + 3, c))
+    gain, spread, innovation = np.empty((r, nx, c)), np.empty((r, c)), np.empty((r, c))
     for a in range(r):
         for k in range(c):
             innovation[a, k] = yw[a]
         for i in range(nx):
             for k in range(c):
                 innovation[a, k] -= Cw[a, i] * x[i, k]
-    decompose(P, lost, c)
-    sequential(P, rows, noise, got, gain, spread, lost, c)
-    compose(P, c)
-    shift(x, innovation, rows, gain, c)
+    decompose(P, lost, work, c)
+    sequential(P, rows, noise, got, gain, spread, lost, work, c)
+    compose(P, work, c)
+    shift(x, innovation, rows, gain, work, c)
     volume = np.ones(c)  # a part of det S: one logarithm does for four rows, and their product stays a number
     for k in range(c):
         loglik[k] = 0.0

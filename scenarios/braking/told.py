@@ -109,6 +109,7 @@ def augmented_model(told: Told, walk: Walk) -> DesignModel:
         measurement=lambda x, step: product(C, x),
         transition_jacobian=jacobian,
         measurement_jacobian=lambda x, step: C[:, :, None],
+        linear_measurement=True,
         process_covariance=lambda x, u, interval: walk.covariance(sensitivity(x, u[0]), told.noise),
         measurement_covariance=told_covariance(lambda step: told.R[:, :, None]),
         initial_mean=mean,

@@ -15,13 +15,14 @@ import numpy as np
 
 from ..arrays import Array
 from ..augmented import Extra, augmented
+from ..compiled import Compiled
 from ..errors import InputError
 from ..faults import Jump
 from ..measurement import Interval
 from ..measurement import told as told_covariance
 from ..model import Bounds, DesignModel
 from ..observation import observe
-from ..railway import dynamics as compiled
+from ..railway import dynamics
 from ..railway.curvature import pieces, slope_change
 from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
@@ -139,23 +140,21 @@ class Metro(Setting[MetroConfig]):
 
         jumps = [fault for fault in self.config.faults if isinstance(fault, Jump) and fault.truth]
 
-        def transition(x: Array, u: Array, interval: Interval) -> Array:
-            points = np.ascontiguousarray(x).reshape(2, -1, x.shape[-1])
-            moved = sum((jump.shift(interval.start) for jump in jumps), np.zeros(1)) if jumps else None
-            if moved is not None:  # the vehicle has jumped: so have the coordinates of the line under it
-                points = np.stack([points[0] - moved, points[1]])
-            out = np.empty_like(points)
-            compiled.transition(points, u[0], seconds(interval, x.shape[-1]), forces, slope, np.empty(points.shape[1:]),
-                                out)
-            if moved is not None:
-                out[0] += moved
-            return out.reshape(x.shape)
+        law = dynamics.constants(forces, slope)
 
-        def jacobian(x: Array, u: Array, interval: Interval) -> Array:
-            out = np.empty((2, 2, x.shape[1]))
-            compiled.transition_jacobian(x[1], u[0], seconds(interval, x.shape[1]), forces, out)
+        def given(interval: Interval, runs: int) -> tuple[Array, Array]:
+            return law, seconds(interval, runs)
+
+        driven = Compiled(dynamics.driven, 1, given)
+
+        def jumping(x: Array, u: Array, interval: Interval) -> Array:
+            """The vehicle has jumped: so have the coordinates of the line under it."""
+            moved = sum((jump.shift(interval.start) for jump in jumps), np.zeros(1))
+            out = driven(np.stack([x[0] - moved, x[1]]), u, interval)
+            out[0] += moved
             return out
 
+        transition = jumping if jumps else driven
         gamma = np.array([[0.5 * period * period], [period]]) * told.process_sd
         once = (gamma * gamma.T)[:, :, None]
         density = period * told.process_sd**2
@@ -180,7 +179,8 @@ class Metro(Setting[MetroConfig]):
         return DesignModel(
             states=("position", "speed"), measurements=("position", "speed"), period=period,
             transition=transition, measurement=lambda x, step: x,
-            transition_jacobian=jacobian, measurement_jacobian=lambda x, step: identity,
+            transition_jacobian=Compiled(dynamics.driven_jacobian, 1, given, square=True),
+            measurement_jacobian=lambda x, step: identity, linear_measurement=True,
             process_covariance=process_covariance, measurement_covariance=told_covariance(lambda step: noise),
             initial_mean=initial_mean, initial_covariance=np.diag(np.square(told.initial_sd))[:, :, None],
             bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=np.array(told.v_bar),

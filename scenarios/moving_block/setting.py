@@ -79,6 +79,7 @@ class MovingBlock(Setting[MovingBlockConfig]):
             transition_jacobian=self.track.jacobian,
             input_jacobian=self.track.input_jacobian,
             measurement_jacobian=lambda x, step: identity,
+            linear_measurement=True,
             process_covariance=process_covariance,
             measurement_covariance=told_covariance(lambda step: told.tag_variance * identity),
             initial_mean=initial_mean,

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import carray, njit  # pyright: ignore[reportPrivateImportUsage]
 
 from ..arrays import Array
 from ..units import KMH
@@ -97,14 +97,17 @@ def damping(v, u, forces):  # pyright: ignore
     return KMH * (u * top * grade - forces.r1 - 2.0 * forces.r2 * V)
 
 
-# The gradient's look-up does not turn into vector instructions, so it has a pass of its own and the rest does.
-
-
 @njit(cache=True, error_model="numpy")
 def climbs(s, slope, out):  # pyright: ignore
-    """out[r] = climb(s[r])."""
+    """out[r] = climb(s[r]). Cells and look-up have a loop of their own each: only the first vectorises."""
+    last, origin, cells = slope.base.shape[0] - 1, slope.origin, slope.cells
     for r in range(s.shape[0]):
-        out[r] = climb(s[r], slope)
+        place = (s[r] - origin) * cells
+        out[r] = last if place >= last else (place if place > 0.0 else 0.0)
+    base, edge, jump = slope.base, slope.edge, slope.jump
+    for r in range(s.shape[0]):
+        cell = np.uint32(out[r])
+        out[r] = base[cell] + (jump[cell] if s[r] >= edge[cell] else 0.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -116,25 +119,58 @@ def _advance(s, v, u, h, steep, forces, s_out, v_out):  # pyright: ignore
 
 
 @njit(cache=True, error_model="numpy")
-def transition(x, u, h, forces, slope, steep, out):  # pyright: ignore
-    """Both states h seconds later (page: s+ = s + h v + h^2 a / 2, v+ = v + h a).
+def transition(x, u, h, forces, slope, width, out):  # pyright: ignore
+    """Both states h seconds later (page: s+ = s + h v + h^2 a / 2, v+ = v + h a), of the first `width` runs.
 
-    x, out (2, P, S); u, h (S,); steep (P, S) is for scratch."""
+    x, out (2, P, S); u, h (S,)."""
+    steep = np.empty(width)
     for p in range(x.shape[1]):
-        climbs(x[0, p], slope, steep[p])
-    for p in range(x.shape[1]):
-        _advance(x[0, p], x[1, p], u, h, steep[p], forces, out[0, p], out[1, p])
+        climbs(x[0, p, :width], slope, steep)
+        _advance(x[0, p, :width], x[1, p], u, h, steep, forces, out[0, p], out[1, p])
 
 
 @njit(cache=True, error_model="numpy")
-def transition_jacobian(v, u, h, forces, out):  # pyright: ignore
-    """df/dx, out (2, 2, S), at the speeds v (S,). The gradient's steps are left out: they have no width."""
-    for r in range(v.shape[0]):
+def transition_jacobian(v, u, h, forces, width, out):  # pyright: ignore
+    """df/dx, out (2, 2, S), at the speeds v (S,), of the first `width` runs. The gradient's steps are left out: they
+    have no width."""
+    rows = out[0, 0], out[0, 1], out[1, 0], out[1, 1]
+    for r in range(width):
         d = damping(v[r], u[r], forces)
-        out[0, 0, r] = 1.0
-        out[0, 1, r] = h[r] + 0.5 * h[r] * h[r] * d
-        out[1, 0, r] = 0.0
-        out[1, 1, r] = 1.0 + h[r] * d
+        rows[0][r] = 1.0
+        rows[1][r] = h[r] + 0.5 * h[r] * h[r] * d
+        rows[2][r] = 0.0
+        rows[3][r] = 1.0 + h[r] * d
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _told(data):  # pyright: ignore
+    """`Forces` and `Slope` of what `constants` packed."""
+    count = int(data[17])
+    table = carray(data, (18 + 3 * count,))
+    forces = Forces(data[0], data[1], data[2], data[3], data[4], data[5], data[6], data[7], data[8], data[9], data[10],
+                    data[11], data[12], data[13], data[14])
+    return forces, Slope(data[15], data[16], table[18:18 + count], table[18 + count:18 + 2 * count],
+                         table[18 + 2 * count:])
+
+
+def constants(forces: Forces, slope: Slope) -> Array:
+    """The `data` of `driven` and `driven_jacobian`."""
+    return np.concatenate([forces, [slope.origin, slope.cells, len(slope.base)], slope.base, slope.edge, slope.jump])
+
+
+def driven(x, u, seconds, data, points, width, stride, out):  # pyright: ignore
+    """`transition` as a compiled model's."""
+    forces, slope = _told(data)
+    transition(carray(x, (2, points, stride)), carray(u, (stride,)), carray(seconds, (stride,)), forces, slope, width,
+               carray(out, (2, points, stride)))
+    return 0
+
+
+def driven_jacobian(x, u, seconds, data, points, width, stride, out):  # pyright: ignore
+    """`transition_jacobian` as a compiled model's."""
+    transition_jacobian(carray(x, (2, stride))[1], carray(u, (stride,)), carray(seconds, (stride,)), _told(data)[0],
+                        width, carray(out, (2, 2, stride)))
+    return 0
 
 
 def slope_grid(positions: Array, gradients: Array, rotating: float) -> Slope:

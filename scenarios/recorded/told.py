@@ -153,7 +153,7 @@ class Kinematics:
         points = np.ascontiguousarray(x[:2]).reshape(2, -1, x.shape[-1])
         out, seconds = np.empty_like(points), np.broadcast_to(h, x.shape[-1:]).copy()
         metro_plant.transition(points, np.ascontiguousarray(u[2]), seconds, self.drive.forces, self.drive.slope,
-                               np.empty(points.shape[1:]), out)
+                               points.shape[2], out)
         return out.reshape(2, *x.shape[1:])
 
     def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
@@ -171,7 +171,7 @@ class Kinematics:
             assert self.drive is not None
             block = np.empty((2, 2, runs))
             metro_plant.transition_jacobian(np.ascontiguousarray(x[1]), np.ascontiguousarray(u[2]),
-                                            np.broadcast_to(h, (runs,)).copy(), self.drive.forces, block)
+                                            np.broadcast_to(h, (runs,)).copy(), self.drive.forces, runs, block)
             out[:2, :2] = block
         if sign:
             out[0, nx - 1], out[1, nx - 1] = sign * 0.5 * h * h, sign * h
@@ -241,6 +241,7 @@ class Kinematics:
             states=states, measurements=tuple(sensors), period=self.period, transition=self.transition,
             measurement=lambda x, step: product(C, x), transition_jacobian=self.jacobian,
             measurement_jacobian=lambda x, step: observe,
+            linear_measurement=True,
             process_covariance=lambda x, u, interval: self.covariance(interval.length),
             measurement_covariance=told_covariance(lambda step: R[:, :, None]),
             initial_mean=np.ascontiguousarray(initial_mean[:nx]), initial_covariance=np.diag(start**2)[:, :, None],

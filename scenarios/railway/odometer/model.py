@@ -239,6 +239,7 @@ class Odometer:
             states=self.states, measurements=self.sensors, period=self.period, transition=self.transition,
             measurement=self.measurement, transition_jacobian=self.jacobian,
             measurement_jacobian=self.measurement_jacobian, process_covariance=self.covariance,
+            linear_measurement=all(scale < 0 for _, scale in self._rows),
             measurement_covariance=self.noise(slipping), initial_mean=mean,
             initial_covariance=np.diag([sd.get(name, start.scale) ** 2 for name in self.states])[:, :, None],
             tells=tells, **parts)

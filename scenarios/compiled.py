@@ -1,0 +1,119 @@
+"""Model functions as machine code of one signature, handed to compiled filters by address.
+
+So filters compile once for all models, and run model and moments on a block of runs while it is in the cache."""
+
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, cfunc, njit, types  # pyright: ignore[reportPrivateImportUsage]
+from numba.extending import intrinsic
+
+from .arrays import Array, read_only
+from .measurement import Interval
+
+_NUMBERS = types.CPointer(types.float64)
+SIGNATURE = types.int64(_NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS, types.int64, types.int64, types.int64, _NUMBERS)
+"""0 from (x, u, seconds, data, points, width, stride, out).
+
+x (nx, points, stride), u (nu, stride) and seconds (stride,), the length of each run's interval, of which the first
+`width` runs count; data: the model's constants. out: f(x, u), (nx, points, stride), or df/dx, (nx, nx, stride), where
+points is 1. Nothing of a run may depend on another."""
+
+
+class Compiled:
+    """A function of a design model (`DesignModel.transition`, `transition_jacobian`) that is machine code: callable
+    like any other, and to be called from compiled code through `call`.
+
+    function: of `SIGNATURE`, to be compiled; inputs: how many it reads; given(interval, runs): its data and the lengths
+    (S,) of the interval, or Unsupported raised where the model does not know such; square: whether it is a Jacobian."""
+
+    def __init__(self, function: Callable[..., int], inputs: int, given: Callable[[Interval, int], tuple[Array, Array]],
+                 square: bool = False) -> None:
+        self.address, self.inputs, self.given, self.square = address(function), inputs, given, square
+
+    def arguments(self, u: Array, interval: Interval) -> tuple[int, Array, Array, Array]:
+        """Address, u (nu, S), seconds (S,) and data, for `call`. Raises ValueError for inputs of another shape."""
+        if u.shape[0] != self.inputs:
+            raise ValueError(f"this model has {self.inputs} inputs, not {u.shape[0]}")
+        data, seconds = self.given(interval, u.shape[1])
+        return self.address, read_only(np.ascontiguousarray(u, dtype=float)), seconds, data
+
+    def __call__(self, x: Array, u: Array, interval: Interval) -> Array:
+        points = np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], -1, x.shape[-1])
+        out = np.empty((len(x), len(x), x.shape[-1]) if self.square else points.shape)
+        _run(*self.arguments(u, interval), points, out)
+        return out if self.square else out.reshape(x.shape)
+
+
+@cache
+def address(function: Callable[..., int]) -> int:
+    """Where the machine code of a function of `SIGNATURE` is."""
+    code: Any = cfunc(SIGNATURE, cache=True, error_model="numpy")(function)
+    return int(code.address)
+
+
+def _call(typingctx: Any, address: Any, x: Any, u: Any, seconds: Any, data: Any, points: Any, width: Any, stride: Any,
+          out: Any) -> Any:
+    """call(address, x, u, seconds, data, points, width, stride, out) with contiguous arrays, see `SIGNATURE`."""
+    arrays = (1, 2, 3, 4, 8)
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        word, number = ir.IntType(64), ir.DoubleType()
+        given = []
+        for i, value in enumerate(values):
+            if i in arrays:
+                given.append(context.make_array(signature.args[i])(context, builder, value).data)
+            elif i:
+                given.append(value)
+        kind = ir.FunctionType(word, [ir.PointerType(number) if i in arrays else word for i in range(1, 9)])
+        return builder.call(builder.inttoptr(values[0], ir.PointerType(kind)), given)
+
+    number = types.int64
+    return types.int64(number, x, u, seconds, data, number, number, number, out), codegen
+
+
+call: Any = intrinsic(_call)
+"""In compiled code: run the machine code at an address."""
+
+
+@njit(cache=True)
+def _run(address, u, seconds, data, x, out):  # pyright: ignore
+    """The function at an address for all runs at once: x (nx, P, S)."""
+    call(address, x, u, seconds, data, x.shape[1], x.shape[2], x.shape[2], out)
+
+
+def affine(x, u, seconds, data, points, width, stride, out):  # pyright: ignore
+    """A x + B u + h of data = nx, nu, A, B, h: sums over the small index, so that runs do not mix."""
+    n, m = int(data[0]), int(data[1])
+    constants = carray(data, (2 + n * n + n * m + n,))
+    here, there, driven = carray(x, (n, points, stride)), carray(out, (n, points, stride)), carray(u, (m, stride))
+    A, B = constants[2:2 + n * n].reshape((n, n)), constants[2 + n * n:2 + n * n + n * m].reshape((n, m))
+    h, drive = constants[2 + n * n + n * m:], np.empty(width)
+    for i in range(n):
+        for s in range(width):
+            drive[s] = 0.0
+        for j in range(m):
+            factor = B[i, j]
+            if factor != 0.0:
+                row = driven[j]
+                for s in range(width):
+                    drive[s] += factor * row[s]
+        for p in range(points):
+            moved = there[i, p]
+            for s in range(width):
+                moved[s] = 0.0
+            for j in range(n):
+                factor = A[i, j]
+                if factor != 0.0:
+                    row = here[j, p]
+                    for s in range(width):
+                        moved[s] += factor * row[s]
+            for s in range(width):
+                moved[s] = (moved[s] + h[i]) + drive[s]
+    return 0
