@@ -26,6 +26,7 @@ from .commands.reproduce import reproduce
 from .commands.run import run
 from .commands.show import list_, schema, show
 from .commands.sweep import sweep
+from .commands.table import table
 from .commands.timing import timing
 from .commands.tune import tune_
 from .isolation.process import end_idle
@@ -38,7 +39,8 @@ app = typer.Typer(
 for function, name in (
         (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (tune_, "tune"),
         (design, "design"), (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"),
-        (plot, "plot"), (check, "check"), (inspect, "inspect"), (compare, "compare"), (schema, "schema")):
+        (plot, "plot"), (table, "table"), (check, "check"), (inspect, "inspect"), (compare, "compare"),
+        (schema, "schema")):
     app.command(name)(function)
 app.add_typer(new, name="new")
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import pandas as pd
 import typer
 
 from ...scenarios.errors import InputError
@@ -13,16 +13,14 @@ from ..store.folder import inside
 from .options import names_in
 
 FORMATS = ("svg", "pdf", "png")
-PUBLISHED = "results/published/published.csv"
-PUBLISHED_COLUMNS = ("paper", "item", "cell", "published", "ours", "standard_error", "unit", "verdict", "note")
-"""What the page shows of published.csv."""
+PUBLISHED = "results/published/published.json"
 
 
 def report(
     folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
     out: Annotated[str, typer.Option(metavar="FILE.html", help="Where to write (default: DIR/report.html).")] = "",
     published: Annotated[str, typer.Option(
-        metavar="FILE.csv", help="Published numbers to show, as `railstate reproduce` writes them; none: those of "
+        metavar="FILE.json", help="Published numbers to show, as `railstate reproduce` writes them; none: those of "
         "results/published, where it is here.")] = PUBLISHED,
 ) -> None:
     """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
@@ -32,19 +30,17 @@ def report(
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
-def _published(path: str) -> pd.DataFrame | None:
-    """The table of published numbers; None where there is none at the usual place. Raises InputError."""
+def _published(path: str) -> dict[str, Any] | None:
+    """What published.json holds; None where there is none at the usual place. Raises InputError."""
     if not path or (path == PUBLISHED and not Path(path).is_file()):
         return None
     try:
-        table = pd.read_csv(path)
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"--published {path}: cannot be read: {error}") from None
-    lacking = [name for name in PUBLISHED_COLUMNS if name not in table]
-    if lacking:
-        raise InputError(f"--published {path}: has no column {lacking[0]}; expected those of published.csv: "
-                         f"{', '.join(PUBLISHED_COLUMNS)}")
-    return table
+    if not isinstance(found, dict) or "papers" not in found:
+        raise InputError(f"--published {path}: has no papers; expected the published.json of railstate reproduce")
+    return found
 
 
 def plot(

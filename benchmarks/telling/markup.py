@@ -22,7 +22,7 @@ _LATEX = str.maketrans({
     **{raised: f"$^{{{plain}}}$" for raised, plain in zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)}})
 
 
-def _latex(text: object) -> str:
+def latex(text: object) -> str:
     """Text for LaTeX; letters it has no word for become question marks."""
     return str(text).translate(_LATEX).replace("}$$^{", "").encode("ascii", "replace").decode()
 
@@ -30,9 +30,9 @@ def _latex(text: object) -> str:
 def to_latex(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:
     """A LaTeX table with booktabs rules, in plain ASCII."""
     spec = "".join("r" if numeric(frame[c].tolist()) else "l" for c in frame.columns)
-    lines = [r"\begin{table}", r"\centering", rf"\caption{{{_latex(title)}}}", rf"\begin{{tabular}}{{{spec}}}",
-             r"\toprule", " & ".join(_latex(c) for c in frame.columns) + r" \\", r"\midrule"]
-    lines += [" & ".join(_latex(value) for value in row) + r" \\" for row in frame.to_numpy()]
-    lines += [r"\bottomrule", r"\end{tabular}", *(rf"\par\footnotesize {_latex(note)}" for note in notes)]
+    lines = [r"\begin{table}", r"\centering", rf"\caption{{{latex(title)}}}", rf"\begin{{tabular}}{{{spec}}}",
+             r"\toprule", " & ".join(latex(c) for c in frame.columns) + r" \\", r"\midrule"]
+    lines += [" & ".join(latex(value) for value in row) + r" \\" for row in frame.to_numpy()]
+    lines += [r"\bottomrule", r"\end{tabular}", *(rf"\par\footnotesize {latex(note)}" for note in notes)]
     lines += [r"\end{table}"]
     return "\n".join(lines) + "\n"

@@ -149,12 +149,21 @@ def claims_of(cell: Cell) -> str:
     return " ".join(parts)
 
 
+def required(cells: Sequence[Cell]) -> str:
+    """Over all cells: how many entries meet what is required of them."""
+    found = Counter(line["verdict"] for cell in cells for line in cell.of("requirement"))
+    names = dict.fromkeys(name for cell in cells for name in cell.requirements)
+    return (f"Requirements ({some(list(names))}), each of an entry in a setting: {found['met']} met, "
+            f"{found['not met']} not met, {found['undecided']} undecided.")
+
+
 def requirements_of(cell: Cell) -> list[str]:
     """Which requirement who keeps, a sentence each."""
     out = []
     for name, lines in cell.requirements.items():
-        what = f"in {percent(float(lines[0]['against']))} of the {'runs' if lines[0]['metric'] == 'kept' else 'time'}"
-        parts = [f"{word} by {some(found)}" for word in ("met", "not met", "undecided")
+        what = f"in {100 * float(lines[0]['against']):g} % of the {'runs' if lines[0]['metric'] == 'kept' else 'time'}"
+        parts = [f"{word}{' for' if word == 'undecided' else ' by'} {some(found)}" for word in (
+            "met", "not met", "undecided")
                  if (found := names([line for line in lines if line["verdict"] == word]))]
         out.append(f"Requirement {name}, {what}: {'; '.join(parts)}.")
     return out

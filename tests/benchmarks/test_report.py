@@ -24,7 +24,8 @@ from railstate.benchmarks.telling.marks import ASCII, MARKS, drawn
 from railstate.benchmarks.telling.rankings import Cell
 from railstate.benchmarks.telling.report import write_report
 from railstate.benchmarks.telling.report.matrix import anchor, matrix
-from railstate.benchmarks.telling.report.sections import Entry, failures, fault_table, published_tables, table
+from railstate.benchmarks.telling.report.published import papers, sentence
+from railstate.benchmarks.telling.report.sections import Entry, failures, fault_table, table
 from railstate.benchmarks.telling.results import print_results, print_results_json
 from railstate.scenarios.errors import InputError
 
@@ -318,15 +319,24 @@ def test_faults_by_filters_where_a_folder_has_them(results: Results) -> None:
     assert "★ 1" in str(made.lines[0][1][1 + cells[0].cell.labels.index("ekf")].html)
 
 
-def test_published_numbers_stand_with_their_notes_once() -> None:
-    frame = pd.DataFrame({"paper": "p", "item": "Table 1", "cell": ["a", "b", "c"], "published": [1.0, 2.0, 3.0],
-                          "ours": [1.01, np.nan, 2.0], "standard_error": [0.01, np.nan, 0.1], "unit": "m",
-                          "verdict": ["fitted", "unreachable", "not reproduced"], "expected": "",
-                          "note": ["n", "n", ""]})
-    (counts,), ((_, made),) = published_tables(frame)
-    assert counts == ("p", [("fitted", 1), ("not reproduced", 1), ("unreachable", 1)])
-    assert made.notes == ["1: n"]
-    assert made.lines[0][1][1].html == "1.010 ± 0.020"
+def test_published_numbers_stand_by_readings_with_their_notes_once() -> None:
+    def at(reading: str, ours: float | None, verdict: str, stands: bool = False) -> dict[str, object]:
+        return {"reading": reading, "stands": stands, "ours": ours, "standard_error": 0.01 if ours else None,
+                "low": None, "high": None, "verdict": verdict}
+
+    cells = [{"cell": "a", "published": 1.0, "unit": "m", "verdict": "fitted",
+              "entries": [at("printed", 1.01, "fitted", True), at("mended", 2.0, "not reproduced")]},
+             {"cell": "b", "published": 2.0, "unit": "m", "verdict": "unreachable", "entries": [
+                 at("printed", None, "unreachable", True)]}]
+    paper, = papers({"papers": [{"name": "p", "title": "T", "authors": "A", "year": 2000, "reference": "R",
+                                 "stands": "printed", "why": "", "readings": {"printed": "as printed", "mended": "m"},
+                                 "groups": [{"group": "Table 1", "note": "n", "cells": cells}]}]})
+    assert paper.counts == [("fitted", 1), ("unreachable", 1)]
+    assert sentence([paper]) == "Of 2 published numbers: 1 fitted, 1 unreachable."
+    assert paper.table.notes == ["printed: as printed.", "mended: m.", "1: n"]
+    (name, entries), (_, second) = paper.table.lines
+    assert name == "Table 1: a" and entries[1].html == "1.010 ± 0.020" and "✗ 2.000" in str(entries[5].html)
+    assert second[1].html == "" and "– unreachable" in str(second[3].html)
 
 
 def test_the_command_writes_the_page_again_from_the_folder_alone(results: Results, html: str,

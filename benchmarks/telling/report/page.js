@@ -3,7 +3,8 @@ document.documentElement.classList.add("js-on");
 const shown = (cell) => [...cell.querySelectorAll(".v, .q")].find((part) => part.offsetParent) ?? cell;
 function key(cell, column) {
   if (column === 0) return cell.textContent.trim();
-  const part = shown(cell), text = part.dataset.s ?? cell.dataset.v?.split("|")[0];
+  const part = shown(cell), bare = cell.closest("#matrix") ? undefined : cell.textContent.replace(/^\W+ /, "");
+  const text = part.dataset.s ?? cell.dataset.v?.split("|")[0] ?? bare;
   if (text === undefined) {
     const number = cell.classList.contains("least") ? parseFloat(part.lastChild.previousSibling.textContent) : NaN;
     return part.classList?.contains("lost") ? Infinity : Number.isNaN(number) ? null : number;
@@ -63,7 +64,7 @@ function tableCsv(table) {
   const lines = [heads.flat(), ...[...table.tBodies[table.tBodies.length - 1].rows].map((row) => [...row.cells].flatMap((cell, i) => {
     const count = heads[i].length, part = shown(cell);
     if (cell.classList.contains("least")) return [part.childNodes[1].textContent, part.lastChild.textContent];
-    const text = cell.dataset.v ?? (part === cell ? cell.textContent : part.innerText.replace(/^.*?\n|\n/g, " ")).trim();
+    const text = cell.dataset.v ?? (part === cell ? cell.textContent.replace(/^\W+ /, "") : part.innerText.replaceAll("\n", " ")).trim();
     const found = count > 1 ? text.split("|") : [text];
     return Array.from({ length: count }, (_, place) => found[place] ?? "");
   }))];

@@ -4,12 +4,12 @@ Everything comes from the verdict table, rows, curves, kept runs, timing and man
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-import pandas as pd
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
@@ -20,15 +20,18 @@ from ...store.folder import write_whole
 from ..figures.canvas import DARK, LIGHT
 from ..figures.data import Results, load_results
 from ..marks import MARKS
-from ..sentences import over_all
+from ..rankings import Cell
+from ..sentences import over_all, required
 from ..wording import counted
-from .matrix import families_in_words, matrix
-from .sections import chip, published_tables, section
+from .matrix import anchor, families_in_words, matrix
+from .published import Paper, papers, sentence
+from .sections import chip, section
 
 
-def write_report(folder: str | Path, out: str | Path | None = None, published: pd.DataFrame | None = None) -> Path:
-    """Write `out` (None: report.html in the folder) and return its path. published: the table of published numbers,
-    where there is one. Raises InputError where the folder holds no results or the page cannot be written."""
+def write_report(folder: str | Path, out: str | Path | None = None, published: Mapping[str, Any] | None = None
+                 ) -> Path:
+    """Write `out` (None: report.html in the folder) and return its path. published: what published.json
+    holds, where there is one. Raises InputError where the folder holds no results or the page cannot be written."""
     path = Path(out) if out else Path(folder) / "report.html"
     page = render(load_results(folder), published)
     try:
@@ -39,7 +42,7 @@ def write_report(folder: str | Path, out: str | Path | None = None, published: p
     return path
 
 
-def render(results: Results, published: pd.DataFrame | None = None) -> str:
+def render(results: Results, published: Mapping[str, Any] | None = None) -> str:
     """The page's HTML."""
     here = files("railstate.benchmarks.telling.report")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -49,15 +52,28 @@ def render(results: Results, published: pd.DataFrame | None = None) -> str:
                for name, palette in (("light", LIGHT), ("dark", DARK))}
     cells = [cell.cell for found in results.scenarios.values() for cell in found]
     view = matrix(cells)
-    counts, tables = published_tables(published) if published is not None else ([], [])
+    told = papers(published) if published is not None else []
     return template.render(
         css=Markup(here.joinpath("page.css").read_text(encoding="utf-8")),
         script=Markup(here.joinpath("page.js").read_text(encoding="utf-8")),
         light=Markup(colours["light"]), dark=Markup(colours["dark"]), head=headline(results),
-        words=over_all(cells, int(results.manifest["configuration"]["runs"])), matrix=view, chip=chip, marks=MARKS,
+        words=_first_words(cells, int(results.manifest["configuration"]["runs"]), told), matrix=view, chip=chip,
+        marks=MARKS,
         families=families_in_words(cells, results.manifest["estimators"], view.families),
         sections=[section(results, name, found) for name, found in results.scenarios.items()],
-        counts=counts, published=tables, facts=facts(results))
+        published=told, facts=facts(results))
+
+
+def _first_words(cells: Sequence[Cell], runs: int, told: list[Paper]) -> list[tuple[str, str]]:
+    """(sentence, the id that it leads to) of the first paragraph: comparisons, lost runs and claims, requirements,
+    published numbers."""
+    asked = next((cell for cell in cells if cell.requirements), None)
+    words = [(line, "") for line in over_all(cells, runs)]
+    if asked:
+        words.append((required(cells), anchor(asked.scenario)))
+    if said := sentence(told):
+        words.append((said, "published"))
+    return words
 
 
 def headline(results: Results) -> str:

@@ -24,9 +24,8 @@ LEFT_WIDTH, RIGHT_WIDTH = 356, 236
 LETTER, VALUE_ROOM, WORD_ROOM = 6.5, 62, 66
 FAR = 8.0
 """Ratios beyond this are drawn as an arrow."""
-SHAPES = {"best": "m-5 0l5-5 5 5-5 5z", "tie": "m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0z",
-          "undecided": "m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0z", "worse": "m-5 4l5-9 5 9z",
-          "oracle": "m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0z"}
+SHAPES = {"best": "m-5 0l5-5 5 5-5 5z", "worse": "m-5 4l5-9 5 9z"}
+"""Markers; the others are circles."""
 CURVE_POINTS = 65
 
 
@@ -67,13 +66,11 @@ def _values(ranking: Ranking, lines: Sequence[Line], height: int) -> str:
                    f'y="{TOP - 6}" text-anchor="middle">{floor_name(lines[0])} {number(value)}</text>')
     for i, line in enumerate(lines):
         y, sign = TOP + ROW * i + ROW / 2, mark(line)
-        out.append(f'<text x="0" y="{y + 4:g}">{sign.sign}</text><text x="16" y="{y + 4:g}">'
-                   f'{escape(str(line["estimator"]))}</text>')
+        out.append(f'<text y="{y + 4:g}">{sign.sign}<tspan x="16">{escape(str(line["estimator"]))}</tspan></text>')
         if not line["runs"]:
             continue
         text = value_of(line) + (f" of {line['runs']}" if line["lost"] else "")
-        out.append(f'<text x="{LEFT_WIDTH}" y="{y + 4:g}" text-anchor="end">{text}'
-                   "</text>")
+        out.append(f'<text class="e" x="{LEFT_WIDTH}" y="{y + 4:g}">{text}</text>')
         if drawn(line) == "lost":
             continue
         at = [left + float(scale.share(line[name] * line["factor"])) * (right - left - 6) for name in
@@ -120,7 +117,7 @@ def _grid(scale: Scale, left: float, right: float, height: int) -> str:
         text = tick_text(value)
         half = 3.2 * len(text)
         if at - half > free:
-            out.append(f'<text class="t" x="{at:.1f}" y="{height - 6}" text-anchor="middle">{text}</text>')
+            out.append(f'<text class="t" x="{at:.1f}" y="{height - 6}">{text}</text>')
             free = at + half + 4
     return "".join(out)
 
@@ -140,7 +137,9 @@ def _ticks(scale: Scale) -> list[float]:
 def _marker(line: Line, at: float, low: float, high: float, y: float) -> str:
     word = drawn(line)
     bar = f'<path class="i {word}" d="M{low:.1f} {y:g}H{high:.1f}"/>' if np.isfinite(low + high) else ""
-    return f'{bar}<path class="m {word}" d="M{at:.1f} {y:g}{SHAPES.get(word, SHAPES["tie"])}"/>'
+    if word in SHAPES:
+        return f'{bar}<path class="m {word}" d="M{at:.1f} {y:g}{SHAPES[word]}"/>'
+    return f'{bar}<circle class="m {word}" cx="{at:.1f}" cy="{y:g}" r="4"/>'
 
 
 def curves(cell: CellResults, ranking: Ranking) -> tuple[str, int]:

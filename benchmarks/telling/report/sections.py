@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from ..figures.canvas import Canvas
 from ..figures.catalogue import FIGURES, Figure, of_scenario
@@ -140,7 +139,7 @@ def table(cell: Cell) -> Table:
     for ranking in cell.rankings:
         lines = {str(line["estimator"]): line for line in ranking.lines}
         name, unit = ranking.quantity, ranking.unit
-        add(name, f"{name} verdict", False, {k: Entry(_verdict(v), drawn(v)) for k, v in lines.items()})
+        add(name, f"{name} verdict", False, {k: Entry(_verdict(v)) for k, v in lines.items()})
         add(bracket(metric_name(ranking.metric), unit), f"{name} value|{name} low|{name} high", True,
             {k: _value(v) for k, v in lines.items()})
         add("ratio", f"{name} ratio|{name} ratio low|{name} ratio high", True, {k: _ratio(v) for k, v in lines.items()})
@@ -148,7 +147,7 @@ def table(cell: Cell) -> Table:
                                                 if floor_name(v) else Entry("") for k, v in lines.items()})
     for name, lines in cell.requirements.items():
         what = "runs" if lines[0]["metric"] == "kept" else "time"
-        add(Markup("{}<br>in {} of the {}").format(name, percent(float(lines[0]["against"])), what),
+        add(Markup("{}<br>in {:g} % of the {}").format(name, 100 * float(lines[0]["against"]), what),
             f"{name} kept|{name} low|{name} high", False, {str(line["estimator"]): _required(line) for line in lines})
     add("claim", "claim", False, {label: Entry(_claims(cell, label)) for label in cell.labels})
     for lines in cell.outcomes:
@@ -156,7 +155,7 @@ def table(cell: Cell) -> Table:
         name = quantity if metric in quantity else f"{quantity} {metric}"
         add(bracket(name, lines[0]["shown_unit"]), f"{name}|low|high", True,
             {str(line["estimator"]): _outcome(line) for line in lines})
-    add("lost", "lost", True, {label: Entry(lost := str(cell.lost(label)), lost, True) for label in cell.labels})
+    add("lost", "lost", True, {label: Entry(str(cell.lost(label)), "", True) for label in cell.labels})
     steps = {label: times.get("latency_us_median", np.nan) for label, times in cell.timing.items()}
     add("step [µs]", "step us", True, {label: Entry(number(v), _data(v), True) for label, v in steps.items()
                                       if np.isfinite(v) and cell.lost(label) < cell.runs})
@@ -278,31 +277,3 @@ def failures(cell: CellResults, folder: str) -> list[tuple[str, str, str]]:
                     str(reason) if isinstance(reason, str) and reason else "no reason given",
                     f"railstate replay {cell.key}/{label}/{int(part['run'].iloc[0])} --out {folder}"))
     return out
-
-
-def published_tables(frame: pd.DataFrame) -> tuple[list[tuple[str, list[tuple[str, int]]]], list[tuple[str, Table]]]:
-    """Counts by paper, and a table a paper, its notes numbered once under it. frame: published.csv."""
-    counts, tables = [], []
-    for paper, part in frame.groupby("paper", sort=False):
-        found = part["verdict"].value_counts()
-        counts.append((str(paper), [(word, int(found[word])) for word in MARKS if word in found]))
-        notes: dict[str, int] = {}
-        lines = []
-        for line in part.astype(object).fillna("").to_dict("records"):
-            note = str(line["note"])
-            if note:
-                notes.setdefault(note, len(notes) + 1)
-            word = str(line["verdict"])
-            chip_ = chip(word, MARKS[word].word) if word in MARKS else Markup(escape(word))
-            ours = line["ours"] if line["ours"] == "" else number(float(line["ours"]), 4)
-            error = f" ± {number(1.96 * float(line['standard_error']), 2)}" if line["standard_error"] != "" else ""
-            lines.append((f"{line['item']}: {line['cell']}", [
-                Entry(str(line["published"]), str(line["published"]), True),
-                Entry(f"{ours}{error}", str(line["ours"]), True), Entry(str(line["unit"])), Entry(chip_, word),
-                Entry(Markup("<sup>{}</sup>").format(notes[note]) if note else "")]))
-        tables.append((str(paper), Table(
-            [("published", "published", True), ("here", "here", True), ("unit", "unit", False),
-             ("verdict", "verdict", False), ("note", "note", False)], lines,
-            f"{len(part)} numbers of {paper}; ± is half of the 95 % interval.",
-            [f"{place}: {note}" for note, place in notes.items()])))
-    return counts, tables
