@@ -12,9 +12,11 @@ import typer
 
 from ...estimators.interface import Status
 from ...scenarios.errors import InputError
+from ..judging.stopping import rule
 from ..planning.plan import make_plan
 from ..running.runner import Machinery
 from ..studies.complete import complete, default_folder
+from ..studies.until import complete_until
 from ..telling.console import hush
 from ..telling.results import print_results, print_results_json
 from .options import (
@@ -76,6 +78,9 @@ def run(
     retry: Annotated[str, typer.Option(metavar="STATUS,..", help="Statuses to compute anew: crashed,timeout,..")] = "",
     overwrite: Annotated[bool, typer.Option(
         "--overwrite", help="Compute anew what the folder holds of this; replace another configuration.")] = False,
+    until: Annotated[str, typer.Option(metavar="WHAT", help=(
+        "Add runs, at most --runs, until a half interval is so small, as rmse:position=1%, or until verdicts are "
+        "decided."))] = "",
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -98,7 +103,10 @@ def run(
     machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout,
                           gigabytes(memory))
     command = shlex.join(["railstate", *sys.argv[1:]])
-    store = complete(plan, folder, machinery, command, retry=again, overwrite=overwrite)
+    if until:
+        store = complete_until(plan, rule(until, runs), folder, machinery, command, retry=again, overwrite=overwrite)
+    else:
+        store = complete(plan, folder, machinery, command, retry=again, overwrite=overwrite)
     if json:
         print_results_json(store)
     elif not quiet:

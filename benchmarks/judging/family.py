@@ -15,7 +15,7 @@ from ...scenarios.randomness import RunRandom
 from .statistics import ALPHA
 
 SEED = 1992
-DRAWS = 1999
+DRAWS, MANY_DRAWS = 1999, 4999
 MARGIN = 0.01
 """Ratios within 1 +- MARGIN are a tie, where their whole interval is."""
 FLOOR = 0.25
@@ -35,23 +35,25 @@ def _random(what: str, key: str, n: int) -> np.random.Generator:
 
 class Draws:
     """The random resampling of one cell of n runs: seeded by a constant, the cell's key and n, so that neither the
-    order of estimators nor batches nor other cells matter. All quantities of the cell share it."""
+    order of estimators nor batches nor other cells matter. All quantities of the cell share it. level: of the tests;
+    a small one takes more draws."""
 
-    def __init__(self, key: str, n: int) -> None:
-        self.key, self.n, self.size = key, n, min(n, BLOCKS)
+    def __init__(self, key: str, n: int, level: float = ALPHA) -> None:
+        self.key, self.n, self.size, self.level = key, n, min(n, BLOCKS), level
+        self.count = DRAWS if level >= ALPHA else MANY_DRAWS
 
     @cached_property
     def weights(self) -> Array:
-        """Bootstrap weights (DRAWS, size), each row adding up to 1."""
-        chosen = _random("bootstrap", self.key, self.n).integers(0, self.size, (DRAWS, self.size), np.int32)
-        chosen += self.size * np.arange(DRAWS, dtype=np.int32)[:, None]
-        counts = np.bincount(chosen.ravel(), minlength=DRAWS * self.size)
-        return counts.reshape(DRAWS, self.size) / self.size
+        """Bootstrap weights (count, size), each row adding up to 1."""
+        chosen = _random("bootstrap", self.key, self.n).integers(0, self.size, (self.count, self.size), np.int32)
+        chosen += self.size * np.arange(self.count, dtype=np.int32)[:, None]
+        counts = np.bincount(chosen.ravel(), minlength=self.count * self.size)
+        return counts.reshape(self.count, self.size) / self.size
 
     @cached_property
     def signs(self) -> Array:
-        """Random signs (DRAWS, size), one a run for all pairs, divided by size."""
-        drawn = _random("exchange", self.key, self.n).integers(0, 2, (DRAWS, self.size), np.int8)
+        """Random signs (count, size), one a run for all pairs, divided by size."""
+        drawn = _random("exchange", self.key, self.n).integers(0, 2, (self.count, self.size), np.int8)
         return (2.0 * drawn - 1.0) / self.size
 
     def blocks(self, x: Array) -> Array:
@@ -62,9 +64,9 @@ class Draws:
         return np.add.reduceat(x, starts, axis=1) / np.diff(np.append(starts, self.n))
 
 
-def _place(sample: Array) -> float:
-    """The 1 - ALPHA quantile of DRAWS simulated values, as a test's critical value."""
-    place = int(np.ceil((1 - ALPHA) * (len(sample) + 1))) - 1
+def _place(sample: Array, level: float = ALPHA) -> float:
+    """The 1 - level quantile of simulated values, as a test's critical value."""
+    place = int(np.ceil((1 - level) * (len(sample) + 1))) - 1
     return float(np.partition(sample, place)[place])
 
 
@@ -75,7 +77,7 @@ def critical_value(x: Array, draws: Draws, floor: float) -> float:
     first, second = np.triu_indices(k, 1)
     product = x[first] * x[second]
     start = np.concatenate([[0], np.cumsum(np.arange(k - 1, 0, -1))])
-    top = np.zeros((2, DRAWS))
+    top = np.zeros((2, draws.count))
 
     def take(which: int, gap: Array, variance: Array) -> None:
         np.maximum(top[which], (gap**2 / np.maximum(variance / (n - 1), floor**2)).max(axis=0), out=top[which])
@@ -92,7 +94,7 @@ def critical_value(x: Array, draws: Draws, floor: float) -> float:
         both = (middle[i] + middle[rest])[:, None]
         take(1, 2 * np.arctanh(shift), (both + spread) / up**2 + (both - spread) / down**2
              - 2 * fixed[pairs, None] / (up * down))
-    return float(np.sqrt(max(map(_place, top))))
+    return float(np.sqrt(max(_place(each, draws.level) for each in top)))
 
 
 def eligible(lost: Mask, key: str) -> Mask:

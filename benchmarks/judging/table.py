@@ -66,7 +66,7 @@ class Cell:
     def __init__(self, key: str, aligned: Aligned, about: Mapping[str, Any], apart: Mapping[str, str]) -> None:
         self.key, self.aligned, self.about, self.apart = key, aligned, about, apart
         self.scenario, self.variant = key.split("/")[:2]
-        self.draws = Draws(key, aligned.runs)
+        self.draws = Draws(key, aligned.runs, about["variants"].get(self.variant, {}).get("level", st.ALPHA))
         self.labels, self.n = aligned.labels, aligned.runs
         self.lost = aligned.lost
 

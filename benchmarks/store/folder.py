@@ -95,6 +95,19 @@ class Store:
         now = datetime.now(UTC).isoformat(timespec="seconds") if rows == wanted else None
         self._write_manifest({**manifest, "rows": rows, **facts, "finished": now})
 
+    def told(self, key: str, name: str) -> Any:
+        """What the manifest tells of a cell under a name; None: nothing."""
+        scenario, variant = key.split("/")
+        return self.manifest()["scenarios"][scenario]["variants"][variant].get(name)
+
+    def tell(self, facts: Mapping[str, Mapping[str, Any]]) -> None:
+        """Record more of cells (scenario/variant) in the manifest."""
+        scenarios = json.loads(json.dumps(self.manifest()["scenarios"]))
+        for key, about in facts.items():
+            scenario, variant = key.split("/")
+            scenarios[scenario]["variants"][variant].update(about)
+        self._write_manifest({**self.manifest(), "scenarios": scenarios})
+
     def _write_manifest(self, content: Mapping[str, Any]) -> None:
         text = json.dumps(content, indent=1, default=list)
         self._manifest = _validated(text, self.folder / "manifest.json")

@@ -96,9 +96,12 @@ def _merged(there: Mapping[str, Any], now: Mapping[str, Any], stale: Mapping[tup
         entries = stored.get(key, {"entries": {}})["entries"]
         replay = now["replay"]["cells"][key]
         stored[key] = {**replay, "entries": {**{label: entries[label] for label in kept}, **replay["entries"]}}
-    scenarios = {name: {**about, "variants": {**there["scenarios"].get(name, {"variants": {}})["variants"],
-                                              **about["variants"]}}
-                 for name, about in now["scenarios"].items()}
+    scenarios = {}
+    for name, about in now["scenarios"].items():
+        before = there["scenarios"].get(name, {"variants": {}})["variants"]
+        scenarios[name] = {**about, "variants": {**before, **{
+            variant: {**{key: before[variant][key] for key in ("until", "level") if key in before.get(variant, {})},
+                      **facts} for variant, facts in about["variants"].items()}}}
     return {
         "configuration": {**now["configuration"], "cells": cells, "runs": max(cell["runs"] for cell in cells.values())},
         "scenarios": {**there["scenarios"], **scenarios},

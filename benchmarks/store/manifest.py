@@ -67,12 +67,15 @@ class Configuration(_Part):
 
 
 class AboutVariant(_Part):
-    """What is told of a variant. period: s; floor: what the least error possible is called, empty: none is known."""
+    """What is told of a variant. period: s; floor: what the least error possible is called, empty: none is known;
+    until: why its runs were stopped, where that hung on them; level: of its verdicts."""
 
     notes: list[Text]
     fitted: list[Text]
     requirements: list[dict[str, Any]] = []
     floor: str = ""
+    until: Text = ""
+    level: Annotated[float, Field(gt=0, lt=1)] = 0.05
     title: Text
     period: Annotated[float, Field(gt=0)]
 

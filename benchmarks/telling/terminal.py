@@ -30,6 +30,10 @@ def print_cell(cell: Cell, about: str) -> None:
     wide = columns() >= INTERVALS_FROM
     first = Column(["entry"], [[(label, MARKS["lost"].style if label in gone else "")] for label in labels])
     made = [error_column(ranking, labels, wide) for ranking in cell.rankings]
+    if wide:
+        for place, ranking in reversed([*enumerate(cell.rankings)]):
+            near = _column(["eff.", ranking.quantity], labels, lambda label, of=ranking: _near(of.line(label)))
+            made[place + 1:place + 1] = [near] if near else []
     claims = _column(["claim", _claim_head(cell)], labels, lambda label: claim_words(cell.claim(label)))
     made[2:2] = [claims] if claims else []  # beside the first two quantities
     made += [column for name, lines in cell.requirements.items() if (column := _column(
@@ -95,6 +99,11 @@ def _parts(line: Line | None, intervals: bool) -> list[str]:
     if drawn(line) in ("best", "oracle"):
         return [value, beside, "", ""]
     return [value, beside, ratio_of(line), ratio_interval(line) if intervals else ""]
+
+
+def _near(line: Line | None) -> str:
+    """`98 %`: the floor over the value."""
+    return percent(line["efficiency"]) if line is not None and line["efficiency"] > 0 else ""
 
 
 def claim_words(line: Line | None) -> str:
