@@ -75,7 +75,7 @@ class Rule:
 
     def about(self) -> str:
         """What a reader of the intervals has to know."""
-        looks = f"looked at {', '.join(map(str, self.looks))} runs"
+        looks = f"looks at {', '.join(map(str, self.looks))} runs"
         return looks if self.precisions else f"{looks}; intervals of ratios cover {100 * (1 - self.level):.3g} %"
 
 

@@ -29,13 +29,16 @@ def print_cell(cell: Cell, about: str) -> None:
     gone = {label for label in labels if cell.lost(label) == cell.runs}
     wide = columns() >= INTERVALS_FROM
     first = Column(["entry"], [[(label, MARKS["lost"].style if label in gone else "")] for label in labels])
-    made = [error_column(ranking, labels, wide) for ranking in cell.rankings]
-    if wide:
-        for place, ranking in reversed([*enumerate(cell.rankings)]):
-            near = _column(["eff.", ranking.quantity], labels, lambda label, of=ranking: _near(of.line(label)))
-            made[place + 1:place + 1] = [near] if near else []
     claims = _column(["claim", _claim_head(cell)], labels, lambda label: claim_words(cell.claim(label)))
-    made[2:2] = [claims] if claims else []  # beside the first two quantities
+    made: list[Column] = []
+    for place, ranking in enumerate(cell.rankings):
+        made.append(error_column(ranking, labels, wide))
+        near = _column(["eff.", ranking.quantity], labels, lambda label, of=ranking: _near(of.line(label)))
+        made += [near] if near and wide else []
+        if claims and place == min(1, len(cell.rankings) - 1):
+            made.append(claims)  # beside the first two quantities
+    if claims and not cell.rankings:
+        made.append(claims)
     made += [column for name, lines in cell.requirements.items() if (column := _column(
         ["keeps", name], labels, lambda label, lines=lines: _required(_of(lines, label))))]
     if wide and cell.timing:

@@ -190,6 +190,6 @@ def deciding(line: Mapping[str, Any]) -> str:
 
 
 def notes_of(variant: Mapping[str, Any]) -> list[str]:
-    """What a reader of a variant's table must know: its notes, which parameters were fitted, why its runs were stopped."""
+    """What a reader of a variant's table must know: its notes, which parameters were fitted, why its runs stopped."""
     fitted = [f"Fitted, not printed by the source: {', '.join(variant['fitted'])}."] if variant["fitted"] else []
     return [*variant["notes"], *fitted, *filter(None, [variant.get("until")])]
