@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from railstate.benchmarks.judging import statistics as st
-from railstate.benchmarks.judging.family import LEAST, Draws, compare_all
+from railstate.benchmarks.judging.family import Draws, compare_all
 from railstate.benchmarks.judging.stopping import rule
 from railstate.benchmarks.judging.table import verdicts_of
 from railstate.benchmarks.store.folder import Store
@@ -87,7 +87,7 @@ def test_looks() -> None:
     assert rule("rmse:x=0.2, mae:y=3%", 20).looks == [20]
 
 
-def covered(draw: str, asked: float, most: int = 3200, studies: int = 2000) -> float:
+def covered(draw: str, asked: float, most: int = 800, studies: int = 6000) -> float:
     """Share of studies whose interval of the RMSE holds the truth when it is narrow enough, or at the most."""
     rng = np.random.default_rng(list(draw.encode()))
     m = rng.chisquare(2, (studies, most)) / 2 if draw == "chi2" else np.exp(
@@ -103,9 +103,9 @@ def covered(draw: str, asked: float, most: int = 3200, studies: int = 2000) -> f
 
 
 @pytest.mark.parametrize("draw", ["chi2", "ln.5"])
-@pytest.mark.parametrize("asked", [3.0, 6.0, 9.0])
+@pytest.mark.parametrize("asked", [4.5, 9.0])
 def test_intervals_cover_after_stopping_on_their_width(draw: str, asked: float) -> None:
-    """95 +- 1.3 % over 2,000 studies, of which 1 % is their own Monte Carlo error."""
+    """95 +- 1.3 %, over so many studies that chance makes up .6 % of it."""
     assert abs(covered(draw, asked) - 0.95) <= 0.013
 
 
@@ -125,13 +125,9 @@ def accused(k: int, sigma: float, most: int, studies: int) -> float:
     return hits / studies
 
 
-def test_equals_are_seldom_told_apart_until_decided() -> None:
-    assert LEAST <= 100 and accused(2, 0.5, 400, 200) <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / 200)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(("k", "sigma", "most", "studies"), [
-    (2, 0.5, 1600, 2000), (2, 1.0, 400, 2000), (12, 0.5, 400, 1000), (12, 1.0, 400, 500)])
+    (2, 0.5, 400, 2000), (12, 0.5, 400, 500), (12, 1.0, 200, 500)])
 def test_equals_until_decided(k: int, sigma: float, most: int, studies: int) -> None:
     """At most 5 % of the studies."""
     assert accused(k, sigma, most, studies) <= 0.05
