@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from .core import gather2, gather3, kernel, scatter3, tile_width
-from .kalman import _of_kind, _whiten, compose, decompose, receivers, sequential
+from .factors import compose, decompose, sequential
+from .kalman import _of_kind, _whiten, receivers
 
 
 @kernel
@@ -32,8 +33,8 @@ def _update_kind(covariance, received, h, r, failed, index, diagonal):
         for j in range(ny):
             noise[j, 0] = r[j, j, 0]
     p, got = np.empty((n, n, wide)), np.empty((ny, wide), np.bool_)
-    jacobian, gain = np.empty((ny, n, 1 if h.shape[2] == 1 else wide)), np.empty((n, ny, wide))
-    spread = np.empty((ny, wide))
+    jacobian, gain = np.empty((ny, n, 1 if h.shape[2] == 1 else wide)), np.empty((ny, n, wide))
+    spread, work = np.empty((ny, wide)), np.empty((n + 3, wide))
     for first in range(0, len(index), wide):
         width = min(wide, len(index) - first)
         part = index[first:first + width]
@@ -41,18 +42,18 @@ def _update_kind(covariance, received, h, r, failed, index, diagonal):
         gather2(received, part, width, got)
         gather3(h, part, width, jacobian)
         lost = np.zeros(width, np.bool_)
-        decompose(p, lost, width)
+        decompose(p, lost, work, width)
         if diagonal:
             if own:
                 for j in range(ny):
                     for s in range(width):
                         noise[j, s] = r[j, j, part[s]]
-            sequential(p, jacobian, noise, got, gain, spread, lost, width)
+            sequential(p, jacobian, noise, got, gain, spread, lost, work, width)
         else:
             gather3(r, part, width, tile)
             white, _ = _whiten(tile, got, jacobian, np.zeros((ny, width)), lost, width)
-            sequential(p, white, noise, got, gain, spread, lost, width)
-        compose(p, width)
+            sequential(p, white, noise, got, gain, spread, lost, work, width)
+        compose(p, work, width)
         for s in range(width):
             failed[part[s]] |= lost[s]
             for i in range(n if lost[s] else 0):
