@@ -85,8 +85,8 @@ class Mode:
 
 @dataclass(frozen=True)
 class Modes:
-    """Hypotheses of which one holds at a time, with prior (m,) and transition (m, m) over one whole step, from row to
-    column; a part p of a step takes its power p. transition None: the estimator chooses.
+    """Hypotheses of which one holds at a time, with prior (m,) and transition (m, m) over one sampling period, from
+    row to column; an interval of p periods takes its power p. transition None: the estimator chooses.
 
     grid: the same as stacked matrices where the modes are values of a parameter on a grid, linear each; else None."""
 

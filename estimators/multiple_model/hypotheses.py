@@ -32,7 +32,7 @@ class HypothesesParameters(Parameters):
 class InteractingModels(Estimator):
     """IMM: mix the modes' Gaussians by the transition matrix, filter each with its model, weigh, combine.
 
-    A part p of a step mixes by the transition matrix to the power p."""
+    An interval of p sampling periods mixes by the transition matrix to the power p."""
 
     Parameters = HypothesesParameters
     family = "IMM"
@@ -74,7 +74,8 @@ class InteractingModels(Estimator):
 
     def predict(self, u: Array, interval: Interval) -> None:
         moving = np.ascontiguousarray(interval.moving(self.runs))
-        mix(self.power(interval.share), self.weight, moving, self.bank._mean, self.bank._covariance)
+        periods = np.asarray(interval.length) / self.model.period
+        mix(self.power(periods), self.weight, moving, self.bank._mean, self.bank._covariance)
         self.bank.predict(read_only(np.tile(u, self.m)), interval_of(interval, self.m))
 
     def update(self, measurement: Measurement) -> Innovation | None:

@@ -89,7 +89,7 @@ def _cut(value: Any, mine: slice, columns: int) -> Any:
 
 
 def power_of(transition: Array) -> Callable[[PerRun], Array]:
-    """p -> transition^p (m, m, S or 1), p in 0..1 a number or (S,).
+    """p -> transition^p (m, m, S or 1), p >= 0 a number or (S,).
 
     Raises ValueError where a power is no transition matrix."""
     values, vectors = np.linalg.eig(transition)

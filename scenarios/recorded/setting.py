@@ -175,7 +175,7 @@ class Recorded(Setting[RecordedConfig]):
             raise Unsupported("motion = \"wheels\" needs an acceleration in plant.map")
         slope = (plant.line.slope(plant.train.rotating if plant.train else 0.0) if plant.line
                  else slope_grid(np.zeros(1), np.zeros(1), 0.0))
-        odometer = Odometer(told, {name: told.worth(name) for name in self.sensors}, self.sampling_period, slope,
+        odometer = Odometer(told, {name: told.worth(name) for name in self.sensors}, self.config.time.period, slope,
                             len(INPUTS))
         tells = () if told.counting else tuple(
             name for name in self.sensors if name in (*WHEELS, "balise") or any(name in one.told for one in self.trips))

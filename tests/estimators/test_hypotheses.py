@@ -46,7 +46,7 @@ def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.n
             share = float(np.broadcast_to(event.share, (world.truth.shape[2],))[run])
             interval = Interval(k + 1, step.start + gone * step.length, step.length * share, share)
             if share > 0:
-                power = (vectors * values**share) @ np.linalg.inv(vectors)
+                power = (vectors * values**(interval.length / model.period)) @ np.linalg.inv(vectors)
                 mixed = w @ power
                 mu = power * w[:, None] / mixed
                 means0 = [sum(mu[i, j] * x[i] for i in range(len(w))) for j in range(len(w))]
@@ -133,7 +133,7 @@ def test_on_a_grid_of_linear_models_it_is_the_grid_s_filter() -> None:
         estimator.start(model, 3, Streams(1, "braking-rate", "paper", range(3))("estimator", "x"))
     for k in range(15):
         for estimator in (grid, general):
-            estimator.predict(world.u[k], whole(k))
+            estimator.predict(world.u[k], whole(k, model.period))
             estimator.update(heard(world.y[k], world.received[k], k))
         np.testing.assert_allclose(general.estimate().mean, grid.estimate().mean, rtol=0, atol=1e-9)
 

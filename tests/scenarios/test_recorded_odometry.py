@@ -141,6 +141,23 @@ def test_one_wheel_alone_and_balises_as_the_only_places(folder: Path) -> None:
         run(setting(folder, columns={key: value for key, value in METRO.items() if key != "acceleration"}), "ekf-scale")
 
 
+def test_several_trips_lost_readings_and_a_sensor_s_fault(folder: Path) -> None:
+    """Trips of other lengths and rates in one batch are what each is alone; wheels stuck or lost are borne."""
+    metro(2, 0.4).head(300).to_csv(folder / "other.csv", index=False)
+    paths = [str(folder / "metro.csv"), str(folder / "other.csv")]
+    for label in ("imm-slip", "dr-minmax"):
+        both = run(setting(folder, **{"plant.recording": paths}), label, 4).scored.metrics["rmse", "position"]
+        for number, path in enumerate(paths):
+            alone = run(setting(folder, **{"plant.recording": path}), label).scored.metrics["rmse", "position"]
+            np.testing.assert_allclose(both[number::2], alone[0], rtol=1e-12)
+    lossy = setting(folder, **{"channel.kind": "bernoulli", "channel.p": 0.8})
+    made = world(lossy, 3)
+    assert 0.7 < made.received[:, 0].mean() / np.isfinite(lossy.trips[0].measured["wheel-a"]).mean() < 0.9
+    assert run(lossy, "imm-slip", 3).scored.metrics["rmse", "position"].max() < 5
+    stuck = setting(folder, faults=[{"kind": "stuck", "sensors": ["wheel-a"], "every": 60.0, "lasts": 10.0}])
+    assert not run(stuck, "imm-slip", 2).scored.status.any()
+
+
 def test_a_minus_turns_a_column(folder: Path) -> None:
     """A trip against the line's direction: its places fall while its wheels count."""
     table = metro().assign(s_ref_m=lambda t: 5000 - t.s_ref_m)

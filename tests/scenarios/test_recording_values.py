@@ -283,6 +283,7 @@ def test_several_trips_as_one_scenario(tmp_path, trips):
                 mine = which == trip
                 assert driven.scored.metrics["rmse", "position"][mine] == pytest.approx(one[mine], rel=1e-9)
     assert sum("Read as" in note for note in chosen.notes) == 3
+    assert any("ekf with knowledge = { shortfall = \"told\" } is the same" in note for note in chosen.notes)
 
 
 def test_an_accelerometer_bridges_better(tmp_path):

@@ -73,8 +73,9 @@ class OdometerKnowledge(Strict):
 @dataclass(frozen=True)
 class Odometer:
     """The model's functions for given knowledge. deviations: by measurement in their order, what each is worth where it
-    tells nothing itself. period s: the usual step; parts of a step need steps of just this length. inputs: how many
-    inputs stand before `INPUTS`. whole: what `_clock` says of usual steps, by the number of runs."""
+    tells nothing itself. period s: in which modes change and slip counts; parts of a step need steps of just this
+    length. inputs: how many inputs stand before `INPUTS`. whole: what `_clock` says of steps of a period, by the number
+    of runs."""
 
     told: OdometerKnowledge
     deviations: Mapping[str, float]
