@@ -203,13 +203,20 @@ class Estimator(ABC):
         """Back to a snapshot, which may be asked for again."""
         snapshot.restore()
 
+    @classmethod
+    def memory(cls, states: int, steps: int) -> int:
+        """Bytes that it keeps of each run over so many steps; 0 where that does not grow with them."""
+        return 0
+
     def past(self) -> Estimate | None:
-        """Fixed-lag smoothers: the state `lag` steps ago; None before there is one."""
+        """Fixed-lag smoothers: the state `lag` steps ago, asked for once a step; None before there is one. Its arrays
+        are not reused."""
         return None
 
     def finish(self) -> Iterator[tuple[int, Estimate]]:
-        """Smoothers: (step, estimate) from the last step down to the first, one at a time. A run that has ended heard
-        nothing any more, so its backward pass starts with corrections of exactly zero."""
+        """Smoothers: (step, estimate) from the last step down to the first, one at a time, in arrays that are not
+        reused. A run that has ended heard nothing any more, so its backward pass starts with corrections of exactly
+        zero."""
         return iter(())
 
     def counters(self) -> dict[str, Array]:

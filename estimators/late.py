@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..scenarios.arrays import Array, Mask, read_only
+from ..scenarios.errors import Unsupported
 from ..scenarios.measurement import Interval, Measurement, PerRun
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
@@ -180,7 +181,10 @@ def _merged(old: Measurement | None, new: Measurement) -> Measurement:
 
 
 def for_late(estimator: Estimator, policy: str, depth: int) -> Estimator:
-    """The estimator as its entry wants late packets taken; depth: how late they can be, steps."""
+    """The estimator as its entry wants late packets taken; depth: how late they can be, steps. Raises Unsupported for a
+    smoother that is to rewind."""
+    if policy == "rewind" and estimator.lag != 0:
+        raise Unsupported("a smoother cannot rewind: late = \"drop\" or \"as-new\"")
     if policy == "rewind" and depth and not estimator.handles_late:
         estimator = Rewinding(estimator, depth)
     estimator.late = policy

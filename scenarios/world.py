@@ -4,7 +4,7 @@ One interface for both, so that the same runner and the same estimators serve ei
 
 from __future__ import annotations
 
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, fields
 from functools import cached_property
 from typing import Protocol
 
@@ -61,6 +61,12 @@ class Step:
     start: PerRun = 0.0
     length: PerRun = 0.0
     reference: Array | None = None
+
+    def kept(self) -> Step:
+        """A copy to be scored later, without its events: worlds may use their arrays again."""
+        parts = {item.name: getattr(self, item.name) for item in fields(self)}
+        return Step(**{name: value.copy() if isinstance(value, np.ndarray) else value for name, value in parts.items()}
+                    | {"events": ()})
 
 
 class World(Protocol):

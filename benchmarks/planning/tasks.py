@@ -8,12 +8,16 @@ from collections.abc import Mapping
 from .plan import Plan, Task, own
 
 
+ROOM = 400e6
+"""Bytes that the trajectories of a block of runs, or what an estimator keeps of them, may take."""
+
+
 def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
     """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first."""
     tasks: list[tuple[float, Task]] = []
     for cell in plan.cells:
         setting = cell.setting()
-        room = max(1, int(400e6 / max(setting.batch_bytes(), 1)))
+        room = max(1, int(ROOM / max(setting.batch_bytes(), 1)))
         count = max(plan.runs, cell.runs)
         share = count if len(plan.cells) >= 2 * jobs else -(-count // jobs)
         size = batch or max(1, min(500, room, share))

@@ -59,12 +59,26 @@ class _Scoring(Observer):
         self.predicted_wanted = score.at == "prediction" and estimator.predicts
         self.updated_wanted = not self.predicted_wanted
         self.faults, self.estimator = FaultScores(setting.config.faults, setting.quantities(), self.runs), estimator
-        found = basis(setting, self.runs) if world.closed_loop else None
+        filters = estimator.lag == 0  # a smoother knows more than any filter's least error
+        found = basis(setting, self.runs) if world.closed_loop and filters else None
         self.riccati = Riccati(setting, found, world, self.predicted_wanted) if found else None
         self.k, self.good = 0, tuple[Any, ...]()
+        self.waiting, self.past = dict[int, tuple[int, Step]](), dict[int, Estimate]()
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
-        begun, k = perf_counter(), self.k
+        if self.estimator.lag == 0:
+            self._score(self.k, step, estimate)
+        else:
+            self.waiting[step.number] = self.k, step.kept()
+
+    def smoothed(self, number: int, estimate: Estimate) -> None:
+        """Scored in the order of the steps, as filters are."""
+        self.past.setdefault(number, estimate)
+        while (first := next(iter(self.waiting), None)) is not None and first in self.past:
+            self._score(*self.waiting.pop(first), self.past.pop(first))
+
+    def _score(self, k: int, step: Step, estimate: Estimate) -> None:
+        begun = perf_counter()
         self.scorer.add(k, self._checked(estimate, step), step)
         self.faults.add(estimate, step)
         if self.riccati:
@@ -115,6 +129,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)
         for name, value in estimator.extremes().items():
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
+    loop.finish()
     found = scoring.scorer.finish(estimator.status, estimator.reasons)
     bad = found.status != 0
     found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})

@@ -22,6 +22,7 @@ from ...scenarios.setting import Setting
 from ...scenarios.world import Step, World, step_times
 from ..isolation.process import clean
 from ..planning.plan import Task, own
+from ..planning.tasks import ROOM
 from ..scoring.floor import Floor, floor_of
 from .drive import Driven, drive, prepare
 from .result import Result, failed, identity, joined
@@ -104,8 +105,12 @@ class _Worlds:
         return out
 
 
+class _TooMany(Exception):
+    """An estimator would keep too much of so many runs."""
+
+
 class _Block:
-    """One estimator on a task's runs, halved where it raises."""
+    """One estimator on a task's runs, halved where it raises, or where it would keep too much of them."""
 
     def __init__(self, setting: Setting[Any], task: Task, label: str, worlds: _Worlds) -> None:
         self.setting, self.task, self.label, self.worlds = setting, task, label, worlds
@@ -126,13 +131,13 @@ class _Block:
                 kept += watch.extras(driven.world)
         except Infeasible as error:
             self.rows.append(failed(self.task, self.label, runs, Status.infeasible, clean(error)))
+        except _TooMany:
+            self._halve(positions)
         except caught as error:
             if isinstance(error, InputError) and self.task.cell.entries[self.label].plugin in estimators():
                 raise
             if len(runs) > 1:
-                half = len(runs) // 2
-                self.run(positions[:half])
-                self.run(positions[half:])
+                self._halve(positions)
             else:
                 text = clean("".join(traceback.format_exception_only(error)).strip())
                 self.rows.append(failed(self.task, self.label, runs, Status.failed, text,
@@ -142,16 +147,24 @@ class _Block:
             self.curves += curves
             self.kept += kept
 
+    def _halve(self, positions: tuple[int, ...]) -> None:
+        half = len(positions) // 2
+        self.run(positions[:half])
+        self.run(positions[half:])
+
     def _drive(self, runs: tuple[int, ...], world: World, watch: _Keeper) -> Driven:
         cell = self.task.cell
         entry = cell.entries[self.label]
         estimator, model = prepare(self.setting, estimator_class(entry.plugin, self.label), entry.parameters,
                                    entry.knowledge, world.initial_mean, entry.late, entry.told_faults, entry.augment)
+        if len(runs) > 1 and len(runs) * estimator.memory(model.nx, world.steps) > ROOM:
+            raise _TooMany
         estimator.design(model)
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
         self._warm_up(runs, world)
         predicted = self.setting.config.score.at == "prediction" and estimator.predicts
-        floor = self.worlds.floor(world, tuple(map(self.task.runs.index, runs)), predicted)
+        places = tuple(map(self.task.runs.index, runs))
+        floor = None if estimator.lag != 0 else self.worlds.floor(world, places, predicted)
         return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None, floor)
 
     def _warm_up(self, runs: tuple[int, ...], world: World) -> None:

@@ -36,6 +36,9 @@ class Observer:
     def updated(self, step: Step, event: int, estimate: Estimate) -> None:
         """The estimate after the measurements of an event."""
 
+    def smoothed(self, number: int, estimate: Estimate) -> None:
+        """A smoother's estimate at the end of the step of this number, which lies back."""
+
 
 class Loop:
     """A started estimator in a world. `step` goes one step ahead; seconds: spent inside the estimator so far.
@@ -101,11 +104,25 @@ class Loop:
                 begun = perf_counter()
         if self.world.closed_loop and not observer.updated_wanted:
             self.mean = self._estimate().mean
+        past = estimator.past() if estimator.lag else None
         self.seconds += perf_counter() - begun
+        if past is not None and estimator.lag:
+            observer.smoothed(step.number - estimator.lag, self._cut(past))
         return step
 
+    def finish(self) -> None:
+        """Have a smoother say what it makes of the whole, once all steps are done."""
+        begun = perf_counter()
+        for number, estimate in self.estimator.finish():
+            self.seconds += perf_counter() - begun
+            self.observer.smoothed(number, self._cut(estimate))
+            begun = perf_counter()
+        self.seconds += perf_counter() - begun
+
     def _estimate(self) -> Estimate:
-        estimate = self.estimator.estimate()
+        return self._cut(self.estimator.estimate())
+
+    def _cut(self, estimate: Estimate) -> Estimate:
         return estimate if self.own is None or len(estimate.mean) <= self.own else cut(estimate, self.own)
 
     def _arriving(self, step: Step, number: int, gone: PerRun, listens: Mask | None) -> Iterator[Measurement]:

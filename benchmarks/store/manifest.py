@@ -101,6 +101,7 @@ class AboutEstimator(_Part):
     source: Text
     claims: list[str]
     oracle: bool
+    smoother: bool = False
 
 
 class StoredCell(_Part):
@@ -197,7 +198,7 @@ def description(plan: Plan) -> dict[str, Any]:
     return {
         "scenarios": scenarios,
         "estimators": {name: {"summary": one.summary, "family": one.family, "source": one.source, "claims": one.claims,
-                              "oracle": one.oracle}
+                              "oracle": one.oracle, "smoother": one.smoother}
                        for name, one in plugins.items()},
         "replay": {"plugins": plan.catalogue.files, "cells": {
             cell.key: {"where": cell.where, "table": dict(cell.table),

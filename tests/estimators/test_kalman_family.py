@@ -118,39 +118,44 @@ def test_covariances_stay_symmetric_and_positive(name: str, plant: str) -> None:
     assert not estimator.status.any()
 
 
+def joint_posterior(model: DesignModel, data: models.Record, run: int, steps: int) -> tuple[Array, Array]:
+    """Mean and covariance of the states of steps 0 .. K, one below the other, given the measurements of the first
+    `steps`: from the joint Gaussian of all states and received measurements at once."""
+    part = model.linear
+    assert part is not None
+    a, b, h, c = part.A(0), part.B(0), part.h(0), part.C(0)
+    n, ny, K = model.nx, model.ny, len(data.y)
+    mean, noise = [model.initial_mean[:, run]], np.zeros(((K + 1) * n, (K + 1) * n))
+    lower = np.eye((K + 1) * n)
+    noise[:n, :n] = np.eye(n)
+    for k in range(K):
+        at = slice((k + 1) * n, (k + 2) * n)
+        mean.append(a @ mean[-1] + b @ data.u[k, :, run] + h)
+        lower[at] += np.hstack([np.zeros((n, k * n)), a, np.zeros((n, (K - k) * n))]) @ lower
+        noise[at, at] = part.Q(0)
+    states = lower @ noise @ lower.T
+    rows = [(k, j) for k in range(steps) for j in range(ny) if data.received[k, j, run]]
+    big, r = np.zeros((len(rows), (K + 1) * n)), np.zeros((len(rows), len(rows)))
+    for i, (k, j) in enumerate(rows):
+        big[i, (k + 1) * n:(k + 2) * n] = c[j]
+        for i2, (k2, j2) in enumerate(rows):
+            r[i, i2] = part.R(0)[j, j2] if k == k2 else 0.0
+    y = np.array([data.y[k, j, run] for k, j in rows])
+    gain = states @ big.T @ np.linalg.inv(big @ states @ big.T + r)
+    return np.concatenate(mean) + gain @ (y - big @ np.concatenate(mean)), states - gain @ big @ states
+
+
 def test_kalman_equals_the_joint_gaussian() -> None:
     """The posterior of the last state from the joint Gaussian of all states and received measurements at once."""
     runs, steps = 3, 6
     model = models.linear(runs, correlated=True, ny=3)
     data = models.record(model, runs, steps)
     means, covariances = models.feed(Kalman(), model, data)
-    part = model.linear
-    assert part is not None
-    a, b, h, c = part.A(0), part.B(0), part.h(0), part.C(0)
-    n, ny = model.nx, model.ny
+    n = model.nx
     for run in range(runs):
-        mean, noise = [model.initial_mean[:, run]], np.zeros(((steps + 1) * n, (steps + 1) * n))
-        lower = np.eye((steps + 1) * n)
-        noise[:n, :n] = np.eye(n)
-        for k in range(steps):
-            at = slice((k + 1) * n, (k + 2) * n)
-            mean.append(a @ mean[-1] + b @ data.u[k, :, run] + h)
-            lower[at] += np.hstack([np.zeros((n, k * n)), a, np.zeros((n, (steps - k) * n))]) @ lower
-            noise[at, at] = part.Q(0)
-        states = lower @ noise @ lower.T
-        rows = [(k, j) for k in range(steps) for j in range(ny) if data.received[k, j, run]]
-        big = np.zeros((len(rows), (steps + 1) * n))
-        r = np.zeros((len(rows), len(rows)))
-        for i, (k, j) in enumerate(rows):
-            big[i, (k + 1) * n:(k + 2) * n] = c[j]
-            for i2, (k2, j2) in enumerate(rows):
-                r[i, i2] = part.R(0)[j, j2] if k == k2 else 0.0
-        y = np.array([data.y[k, j, run] for k, j in rows])
-        gain = states @ big.T @ np.linalg.inv(big @ states @ big.T + r)
-        posterior = np.concatenate(mean) + gain @ (y - big @ np.concatenate(mean))
-        np.testing.assert_allclose(means[-1, :, run], posterior[-n:], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(covariances[-1, :, :, run], (states - gain @ big @ states)[-n:, -n:],
-                                   rtol=0, atol=1e-9)
+        mean, covariance = joint_posterior(model, data, run, steps)
+        np.testing.assert_allclose(means[-1, :, run], mean[-n:], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(covariances[-1, :, :, run], covariance[-n:, -n:], rtol=0, atol=1e-9)
 
 
 def test_the_family_agrees_on_a_linear_model() -> None:
