@@ -46,13 +46,16 @@ def _published(path: str) -> dict[str, Any] | None:
 def plot(
     folder: Annotated[str, typer.Argument(metavar="DIR", help="A results folder (railstate run --out DIR).")],
     figure: Annotated[str, typer.Option(help="Only this figure; an unknown name lists them all.")] = "",
-    format_: Annotated[str, typer.Option("--format", help="svg, pdf or png.")] = "pdf",
-    quantity: Annotated[str, typer.Option(help="Only these quantities in the figures of errors; an unknown "
-                                          "name lists them all.")] = "",
+    entries: Annotated[str, typer.Option("--entries", "--estimators", "-e", metavar="A,B",
+                                         help="Only these estimators.")] = "",
+    quantities: Annotated[str, typer.Option("--quantities", "--quantity", metavar="A,B",
+                                            help="Only these quantities in figures of errors.")] = "",
+    width: Annotated[float, typer.Option(min=2.0, max=12.0, help="Width in inches; 3.5: a paper's column.")] = 3.5,
     run: Annotated[int, typer.Option(min=0, help="Which of the kept runs figures of one run show, from 0 on.")] = 0,
+    format_: Annotated[str, typer.Option("--format", help="svg, pdf or png.")] = "pdf",
     out: Annotated[str, typer.Option(help="Where to write (default: DIR/figures).")] = "",
 ) -> None:
-    """Write the report's figures as files at the width of a paper's column (3.5 inches)."""
+    """Write the figures as files. Lines differ in dashes and markers as well, so that they survive grey."""
     from ..telling.figures.catalogue import FIGURES, drawn
     from ..telling.figures.data import load_results
 
@@ -62,7 +65,7 @@ def plot(
     if figure and figure not in names:
         raise InputError(f"--figure {figure}: unknown; allowed: {', '.join(names)}")
     target = Path(out) if out else Path(folder) / "figures"
-    results = load_results(folder, run=run, only=names_in(quantity))
+    results = load_results(folder, run=run, only=names_in(quantities), entries=names_in(entries), width=72 * width)
     try:
         target.mkdir(parents=True, exist_ok=True)
         written = 0

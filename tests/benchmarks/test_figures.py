@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from railstate.benchmarks.commands.report import plot
 from railstate.benchmarks.judging.ranks import over_settings
-from railstate.benchmarks.telling.figures.axes import MARKERS, Scale, spanning, tick_text
+from railstate.benchmarks.telling.figures.axes import Scale, spanning, tick_text
 from railstate.benchmarks.telling.figures.canvas import DARK, LIGHT, Canvas
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, drawn
 from railstate.benchmarks.telling.figures.data import Curve, Results, assign_styles, load_results
@@ -98,14 +98,14 @@ def test_ranks_put_the_best_first_those_that_failed_last_and_leave_out_oracles(r
     assert metro is not None and "ekf" not in metro[0]
 
 
-def test_estimators_seen_together_look_different_and_few_of_them_in_colour(results: Results) -> None:
+def test_estimators_seen_together_differ_in_dash_or_marker_and_few_of_them_in_colour(results: Results) -> None:
+    """What differs in dash or marker survives grey."""
     styles = results.styles
     assert set(styles) == {*METRO, *CBTC, *BRAKING}
     for group in (METRO, CBTC, BRAKING):
-        assert len({(styles[label].colour, styles[label].dash, styles[label].marker) for label in group}) == len(group)
+        assert len({(styles[label].dash, styles[label].marker) for label in group}) == len(group)
     for group in (METRO, CBTC):
         assert len({styles[label].colour for label in group}) == len(group)
-        assert {styles[label].dash for label in group} == {()}
     assert max([styles[label].colour for label in BRAKING].count(c) for c in LIGHT) == 2
 
 
@@ -113,8 +113,20 @@ def test_a_label_looks_the_same_wherever_it_appears() -> None:
     styles = assign_styles([["a", "b"], ["c", "d", "b"], ["a", "d"]])
     assert len({styles[label].colour for label in "bcd"}) == 3
     assert styles["a"].colour not in (styles["b"].colour, styles["d"].colour)
-    many = assign_styles([[f"e{i}" for i in range(40)]])
-    assert len({(s.colour, s.marker) for s in many.values()}) == 8 * len(MARKERS)
+    many = assign_styles([[f"e{i}" for i in range(25)]])
+    assert len({(s.dash, s.marker) for s in many.values()}) == 25
+
+
+def test_entries_quantities_and_width_can_be_chosen(results: Results, tmp_path: Path) -> None:
+    plot(str(results.folder), figure="error-over-time", entries="ekf,robust-ellipsoid", quantities="speed", width=7.0,
+         format_="svg", out=str(tmp_path))
+    assert len(list(tmp_path.glob("*.svg"))) == 3  # the variants of the scenario that has these
+    text = (tmp_path / "error-over-time~ningbo-metro~switching.svg").read_text()
+    assert 'width="504pt"' in text and "RMS error of speed" in text and "position" not in text
+    assert "robust-ellipsoid" in text and "ukf" not in text
+    for words in ({"entries": "nobody"}, {"quantities": "smell"}, {"run": 5}):
+        with pytest.raises(InputError, match=r"not in this folder; allowed: |1 runs are kept"):
+            plot(str(results.folder), **words)
 
 
 def test_series_colours_have_contrast_and_stay_apart_for_every_kind_of_sight() -> None:

@@ -175,6 +175,11 @@ class Panel:
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             self.canvas.path(self.points(xs[begin:end], ys[begin:end]), stroke=style.colour, width=width,
                              dash=style.dash, title=title)
+        if style.colour[1:].isdigit() and good.sum() > 12:
+            begin = 7 * int(style.colour[1:]) + 3 * MARKERS.index(style.marker)  # so that they seldom lie on each other
+            places = np.flatnonzero(good)
+            for place in places[(begin + len(places) * np.arange(4) // 4) % len(places)]:
+                draw_marker(self.canvas, self._across(float(xs[place])), self._down(float(ys[place])), style, 1.6)
 
     def band(self, xs: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, opacity: float = 0.18) -> None:
         """The area between two curves."""
@@ -208,9 +213,10 @@ def legend_height(labels: Sequence[str], width: float) -> float:
     return 11.0 * len(_rows(labels, width)) + 2.0 if labels else 0.0
 
 
-def legend(canvas: Canvas, left: float, top: float, width: float, entries: Sequence[tuple[str, Style]], *,
-           markers: bool = False) -> None:
-    """Entries in rows under a figure: a piece of line (or the marker) and the label."""
+def legend(canvas: Canvas, room: float, entries: Sequence[tuple[str, Style]], *, markers: bool = False) -> None:
+    """Entries in rows at the foot of a figure, in a room that `legend_height` told: a piece of line (or the marker) and
+    the label."""
+    left, top, width = 4.0, canvas.height - room, canvas.width - 8
     styles = dict(entries)
     for number, row in enumerate(_rows([label for label, _ in entries], width)):
         x, y = left, top + 11.0 * number + 7
@@ -220,6 +226,8 @@ def legend(canvas: Canvas, left: float, top: float, width: float, entries: Seque
                 draw_marker(canvas, x + 7, y - 2.6, style)
             else:
                 canvas.path([(x, y - 2.6), (x + 15, y - 2.6)], stroke=style.colour, width=1.4, dash=style.dash)
+                if style.colour[1:].isdigit():
+                    draw_marker(canvas, x + 7.5, y - 2.6, style, 1.8)
             canvas.text(x + 18, y, label)
             x += 26 + text_width(label)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .axes import Panel, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
@@ -25,10 +25,10 @@ def parameter_and_diversity(cell: CellResults) -> Canvas | None:
         means[label] = (curve.time, np.interp(curve.time, truth.time, truth.truth) + bias)
     diverse = {label: cell.kept[label, "diversity"] for label in labels if (label, "diversity") in cell.kept}
     names = ["true f", *labels]
-    room = legend_height(names, WIDTH - 8)
-    canvas = Canvas(14 + 120 + (92 if diverse else 0) + 26 + room, f"Parameter f, {cell.key}")
+    room = legend_height(names, cell.width - 8)
+    canvas = Canvas(14 + 120 + (92 if diverse else 0) + 26 + room, f"Parameter f, {cell.key}", cell.width)
     x = spanning(truth.time, log=False, margin=0.0)
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 120, x,
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 120, x,
                   spanning(truth.truth, *(mean for _, mean in means.values()), log=False),
                   title="f and its mean estimates", x_ticks=not diverse, x_label="" if diverse else "time [s]")
     for label, (time, mean) in means.items():
@@ -36,12 +36,11 @@ def parameter_and_diversity(cell: CellResults) -> Canvas | None:
         panel.line(time[use], mean[use], cell.styles[label], title=label)
     panel.line(truth.time, truth.truth, Style("ink"), width=1.8, title="true f")
     if diverse:
-        under = Panel(canvas, LEFT, 14 + 120 + 18, WIDTH - LEFT - RIGHT, 74, x,
+        under = Panel(canvas, LEFT, 14 + 120 + 18, cell.width - LEFT - RIGHT, 74, x,
                       spanning(*(track.estimate for track in diverse.values()), [0.0], log=False),
                       title="distinct values of f among the particles", x_label="time [s]")
         for label, track in diverse.items():
             use = thinned(len(track.time))
             under.line(track.time[use], track.estimate[use], cell.styles[label], width=0.8, title=label)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8,
-           [("true f", Style("ink")), *((label, cell.styles[label]) for label in labels)])
+    legend(canvas, room, [("true f", Style("ink")), *((label, cell.styles[label]) for label in labels)])
     return canvas

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .axes import Panel, Scale, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, RIGHT
 
@@ -25,13 +25,13 @@ def receptions(cell: CellResults) -> Canvas | None:
     since = index - np.maximum.accumulate(np.where(received, index, -1))
     wait = np.maximum.reduceat(since, starts) * cell.period
     time = track.time[starts]
-    canvas = Canvas(14 + 64 + 18 + 64 + 26, f"Receptions, {cell.key}")
+    canvas = Canvas(14 + 64 + 18 + 64 + 26, f"Receptions, {cell.key}", cell.width)
     x = spanning(track.time, log=False, margin=0.0)
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 64, x, Scale(0.0, 1.0),
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 64, x, Scale(0.0, 1.0),
                   title=f"share received (mean {received.mean():.2f})", x_ticks=False)
     panel.line(time, share, Style("c0"))
     panel.level(float(received.mean()))
-    under = Panel(canvas, LEFT, 14 + 64 + 18, WIDTH - LEFT - RIGHT, 64, x, spanning(wait, log=False, zero=True),
+    under = Panel(canvas, LEFT, 14 + 64 + 18, cell.width - LEFT - RIGHT, 64, x, spanning(wait, log=False, zero=True),
                   title="longest wait for a packet [s]", x_label="time [s]")
     under.line(time, wait, Style("c3"))
     return canvas
@@ -47,9 +47,9 @@ def headway(cell: CellResults) -> Canvas | None:
     found = {label: values for label, values in found.items() if len(values) == len(speeds)}
     if len(speeds) < 2 or not found:
         return None
-    room = legend_height(list(found), WIDTH - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Headway, {cell.key}")
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(speeds, log=False),
+    room = legend_height(list(found), cell.width - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Headway, {cell.key}", cell.width)
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, spanning(speeds, log=False),
                   spanning(*([v["value"] for v in values] for values in found.values()), log=False),
                   title="headway [s]", x_label="speed [km/h]")
     for label, values in found.items():
@@ -57,5 +57,5 @@ def headway(cell: CellResults) -> Canvas | None:
         panel.line(speeds, [v["value"] for v in values], cell.styles[label], title=label)
         for speed, value in zip(speeds, values, strict=True):
             panel.mark(float(speed), value["value"], cell.styles[label], size=2.2)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in found], markers=True)
+    legend(canvas, room, [(label, cell.styles[label]) for label in found], markers=True)
     return canvas

@@ -25,7 +25,7 @@ from ...store.folder import Store
 from ..marks import Line
 from ..rankings import Cell, cells_of
 from .axes import DASHES, MARKERS, Style
-from .canvas import COLOURS
+from .canvas import COLOURS, WIDTH
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Kept:
 class CellResults:
     """One variant of one scenario. cell: its part of the verdict table. table: the scenario's. curves: by (estimator,
     quantity). kept: by (estimator, name) of one kept run (the first), estimator "" for the truth's own. only:
-    quantities that figures are to show."""
+    quantities that figures of errors are to show. width: of figures, in points."""
 
     cell: Cell
     table: Mapping[str, Any]
@@ -62,6 +62,7 @@ class CellResults:
     kept: Mapping[tuple[str, str], Kept]
     styles: Mapping[str, Style]
     only: tuple[str, ...] = ()
+    width: float = WIDTH
 
     def chosen(self, names: Sequence[str], most: int) -> list[str]:
         """The quantities a figure shows: those asked for, else the first `most`."""
@@ -149,16 +150,24 @@ class Results:
     styles: Mapping[str, Style]
 
 
-def load_results(folder: str | Path, *, run: int = 0, only: Sequence[str] = ()) -> Results:
-    """Read a results folder. run: which of the kept runs figures of one run show, from 0 on; only: the quantities they
-    show. Raises InputError where it is none, is damaged or holds no rows, or where these are not in it."""
+def load_results(folder: str | Path, *, run: int = 0, only: Sequence[str] = (), entries: Sequence[str] = (),
+                 width: float = WIDTH) -> Results:
+    """Read a results folder. run: which of the kept runs figures of one run show, from 0 on; only, entries: the
+    quantities and estimators they show (none: as many as fit); width: theirs, in points. Raises InputError where it is
+    none, is damaged or holds no rows, or where these are not in it."""
     store = Store(folder)
     manifest, rows = store.manifest(), store.rows()
     known = sorted({name for about in manifest["scenarios"].values() for name in about["quantities"]})
-    if unknown := [name for name in only if name not in known]:
-        raise InputError(f"--quantity {unknown[0]}: not among the quantities here: {', '.join(known)}")
+    labels = [str(label) for label in rows["estimator"].unique()]
+    for flag, wanted, there in (("--quantities", only, known), ("--entries", entries, labels)):
+        if unknown := [name for name in wanted if name not in there]:
+            raise InputError(f"{flag} {unknown[0]}: not in this folder; allowed: {', '.join(there)}")
     curves, kept, verdicts = _curves(store.curves()), _kept(store.trajectories(), run), verdicts_of(store)
-    styles = assign_styles([list(cell["estimators"]) for cell in manifest["configuration"]["cells"].values()])
+    if entries:
+        rows = rows[rows["estimator"].isin(entries)]
+        verdicts = verdicts[verdicts["estimator"].isin(entries)]
+    styles = assign_styles([[label for label in cell["estimators"] if not entries or label in entries]
+                            for cell in manifest["configuration"]["cells"].values()])
     parts = {(str(a), str(b)): part for (a, b), part in rows.groupby(["scenario", "variant"], sort=False)}
     scenarios: dict[str, list[CellResults]] = {}
     for cell in cells_of(verdicts, manifest, store.timing()):
@@ -166,28 +175,26 @@ def load_results(folder: str | Path, *, run: int = 0, only: Sequence[str] = ()) 
         scenarios.setdefault(cell.scenario, []).append(CellResults(
             cell, manifest["replay"]["cells"][cell.key]["table"],
             parts[key].dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
-            styles, tuple(only)))
+            styles, tuple(only), width))
     return Results(store.folder, manifest, rows, verdicts, scenarios, styles)
 
 
 def assign_styles(groups: Sequence[Sequence[str]]) -> dict[str, Style]:
     """One style per label for the whole run. groups: the labels that appear together.
 
-    Each label takes the colour used least among those it appears with, and the first dash and marker that tell it from
-    them: up to eight estimators of a table differ in colour, more of them in dash and marker as well. Estimators that
-    never appear together may look alike."""
+    Each label takes the first place that none of its companions has: colours, dashes and markers go round in their own
+    time, so that labels seen together differ in dash or marker as well, and survive grey; up to eight differ in colour.
+    Estimators that never appear together may look alike."""
     companions: dict[str, set[str]] = {}
     for group in groups:
         for label in group:
             companions.setdefault(label, set()).update(group)
-    chosen: dict[str, tuple[int, int]] = {}
+    chosen: dict[str, int] = {}
     for label, others in companions.items():
-        near = [chosen[other] for other in others if other in chosen]
-        colour = min(range(COLOURS), key=lambda c: ([used for used, _ in near].count(c), c))
-        level = next(n for n in itertools.count() if (colour, n) not in near)
-        chosen[label] = colour, level
-    return {label: Style(f"c{colour}", DASHES[level % len(DASHES)], MARKERS[level % len(MARKERS)])
-            for label, (colour, level) in chosen.items()}
+        near = {chosen[other] for other in others if other in chosen}
+        chosen[label] = next(place for place in itertools.count() if place not in near)
+    return {label: Style(f"c{n % COLOURS}", DASHES[n % len(DASHES)], MARKERS[(n + n // len(DASHES)) % len(MARKERS)])
+            for label, n in chosen.items()}
 
 
 def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], Curve]]:

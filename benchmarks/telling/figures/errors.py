@@ -11,7 +11,7 @@ from ....scenarios.arrays import Array
 from ...judging.statistics import finite
 from ..wording import bracket, metric_name
 from .axes import Panel, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas, text_width
+from .canvas import Canvas, text_width
 from .data import CellResults, Curve
 
 MOST, CROWD = 3, 8
@@ -47,8 +47,8 @@ def error_over_time(cell: CellResults) -> Canvas | None:
     if not names:
         return None
     each = 98.0
-    room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(len(names) * (each + 18) + 24 + room, f"Error over time, {cell.key}")
+    room = legend_height(labels, cell.width - 8)
+    canvas = Canvas(len(names) * (each + 18) + 24 + room, f"Error over time, {cell.key}", cell.width)
     for row, name in enumerate(names):
         unit, factor = units[name]
         found = {label: binned_rms(cell.curves[label, name]) for label in labels if (label, name) in cell.curves}
@@ -58,19 +58,19 @@ def error_over_time(cell: CellResults) -> Canvas | None:
                      zero=True)
         x = spanning(*(part[0] for part in found.values()), log=False, margin=0.0)
         last = row == len(names) - 1
-        panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x, y,
+        panel = Panel(canvas, LEFT, 14 + row * (each + 18), cell.width - LEFT - RIGHT, each, x, y,
                       title=bracket(f"RMS error of {name}", unit), x_label="time [s]" if last else "", x_ticks=last)
         for label, (time, _, low, high) in found.items() if len(found) <= CROWD else ():
             panel.band(time, low * factor, high * factor, cell.styles[label].colour)
         for label, (time, root, _, _) in found.items():
             panel.line(time, root * factor, cell.styles[label], title=label)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
     return canvas
 
 
-def label_room(labels: list[str]) -> float:
+def label_room(labels: list[str], width: float) -> float:
     """Left margin that holds the longest label."""
-    return min(8 + max(text_width(label) for label in labels), 0.5 * WIDTH)
+    return min(8 + max(text_width(label) for label in labels), 0.5 * width)
 
 
 def errors_per_run(cell: CellResults) -> Canvas | None:
@@ -80,16 +80,16 @@ def errors_per_run(cell: CellResults) -> Canvas | None:
     columns = [column for column in cell.judged if column[2] in shown]
     if not columns:
         return None
-    left, step = label_room(labels), 11.0
+    left, step = label_room(labels, cell.width), 11.0
     each = step * len(labels) + 4
-    canvas = Canvas(len(columns) * (each + 40) + 2, f"Errors per run, {cell.key}")
+    canvas = Canvas(len(columns) * (each + 40) + 2, f"Errors per run, {cell.key}", cell.width)
     for row, (column, metric, quantity, raw) in enumerate(columns):
         unit, factor = cell.unit(metric, quantity, raw)
         values = {label: finite(array) * factor for label, array in cell.values(column).items()}
         x = spanning(*values.values())
         top = 14 + row * (each + 40)
-        panel = Panel(canvas, left, top, WIDTH - left - RIGHT, each, x, spanning([0.0, 1.0], log=False), y_ticks=False,
-                      x_label=bracket(f"{metric_name(metric)} of {quantity}", unit))
+        panel = Panel(canvas, left, top, cell.width - left - RIGHT, each, x, spanning([0.0, 1.0], log=False),
+                      y_ticks=False, x_label=bracket(f"{metric_name(metric)} of {quantity}", unit))
         for place, label in enumerate(labels):
             y = top + 2 + step * (place + 0.5)
             _box(panel, values.get(label, np.zeros(0)), y, cell.styles[label].colour, label)

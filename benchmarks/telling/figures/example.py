@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..wording import bracket, some
 from .axes import Panel, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, MOST, RIGHT
 
@@ -31,8 +31,8 @@ def example_run(cell: CellResults) -> Canvas | None:
     if not names:
         return None
     above, below, gap = 46.0, 74.0, 18.0
-    room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(len(names) * (above + below + 2 * gap) + 24 + room, f"An example run, {cell.key}")
+    room = legend_height(labels, cell.width - 8)
+    canvas = Canvas(len(names) * (above + below + 2 * gap) + 24 + room, f"An example run, {cell.key}", cell.width)
     top = 14.0
     for name in names:
         unit, factor = units[name]
@@ -40,21 +40,22 @@ def example_run(cell: CellResults) -> Canvas | None:
         longest = max(tracks.values(), key=lambda track: len(track.time))
         x = spanning(longest.time, log=False, margin=0.0)
         use = thinned(len(longest.time))
-        truth = Panel(canvas, LEFT, top, WIDTH - LEFT - RIGHT, above, x, spanning(longest.truth * factor, log=False),
-                      title=bracket(f"{name}, truth", unit), x_ticks=False)
+        truth = Panel(canvas, LEFT, top, cell.width - LEFT - RIGHT, above, x,
+                      spanning(longest.truth * factor, log=False), title=bracket(f"{name}, truth", unit), x_ticks=False)
         truth.line(longest.time[use], longest.truth[use] * factor, Style("ink"))
         errors = {label: (track.time, (track.estimate - track.truth) * factor) for label, track in tracks.items()}
         largest = {label: float(np.nanmax(np.abs(error), initial=0.0)) for label, (_, error) in errors.items()}
         most = CROWDED_OUT * min((size for size in largest.values() if size > 0), default=0.0)
         off = [label for label, size in largest.items() if size > most]
         y = spanning(*(error for label, (_, error) in errors.items() if label not in off), log=False)
-        panel = Panel(canvas, LEFT, top + above + gap, WIDTH - LEFT - RIGHT, below, x, y, x_ticks=name == names[-1],
-                      title=bracket(f"{name}, estimate − truth", unit) + (f"; off: {some(off)}" if off else ""),
+        panel = Panel(canvas, LEFT, top + above + gap, cell.width - LEFT - RIGHT, below, x, y,
+                      x_ticks=name == names[-1], title=bracket(f"{name}, estimate − truth", unit)
+                      + (f"; off: {some(off)}" if off else ""),
                       x_label="time [s]" if name == names[-1] else "")
         for label, (time, error) in errors.items():
             use = thinned(len(time))
             inside = np.where((error >= y.low) & (error <= y.high), error, np.nan)
             panel.line(time[use], inside[use], cell.styles[label], width=0.8, title=label)
         top += above + below + 2 * gap
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
     return canvas

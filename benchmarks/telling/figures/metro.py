@@ -6,7 +6,7 @@ import numpy as np
 
 from ....scenarios.arrays import Array
 from .axes import Panel, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults, Kept
 from .errors import LEFT, RIGHT
 from .example import thinned
@@ -39,27 +39,27 @@ def speed_profile(cell: CellResults) -> Canvas | None:
             lines.append((label, values * 3.6, style))
     below = [(title, values * factor) for name, title, factor in ROWS if (values := extra(name)) is not None]
     names = [label for label, _, _ in lines]
-    room = legend_height(names, WIDTH - 8)
-    canvas = Canvas(14 + 90 + 60 * (len(below) + 1) + 26 + room, f"Trip, {cell.key}")
+    room = legend_height(names, cell.width - 8)
+    canvas = Canvas(14 + 90 + 60 * (len(below) + 1) + 26 + room, f"Trip, {cell.key}", cell.width)
     x = spanning(at, log=False, margin=0.0)
     use = thinned(len(at))
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 90, x,
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 90, x,
                   spanning(*(values for _, values, _ in lines), log=False, zero=True), title="speed [km/h]",
                   x_ticks=False)
     for label, values, style in lines:
         panel.line(at[use], values[use], style, width=0.8, title=label)
     errors = {label: (_at(cell, label, place) - speed.truth) * 3.6 for label in ends}
-    off = Panel(canvas, LEFT, 14 + 90 + 18, WIDTH - LEFT - RIGHT, 42, x, spanning(*errors.values(), log=False),
+    off = Panel(canvas, LEFT, 14 + 90 + 18, cell.width - LEFT - RIGHT, 42, x, spanning(*errors.values(), log=False),
                 title="estimate − true speed [km/h]", x_ticks=not below, x_label="" if below else "position [km]")
     for label, error in errors.items():
         off.line(at[use], error[use], cell.styles[label], width=0.8, title=label)
     for row, (title, values) in enumerate(below):
         last = row == len(below) - 1
-        under = Panel(canvas, LEFT, 14 + 90 + 18 + 60 * (row + 1), WIDTH - LEFT - RIGHT, 42, x,
+        under = Panel(canvas, LEFT, 14 + 90 + 18 + 60 * (row + 1), cell.width - LEFT - RIGHT, 42, x,
                       spanning(values, log=False, zero=True), title=title, x_ticks=last,
                       x_label="position [km]" if last else "")
         under.line(at[use], values[use], Style("ink"), width=0.8)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, style) for label, _, style in lines])
+    legend(canvas, room, [(label, style) for label, _, style in lines])
     return canvas
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ....scenarios.arrays import Array
 from ....scenarios.moving_block.track import StadiumTrack
 from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
@@ -32,13 +32,13 @@ def track(cell: CellResults) -> Canvas | None:
     if not labels:
         return None
     entries = [("tag", TAG), ("true", TRUE), *((name, cell.styles[name]) for name in labels)]
-    room = legend_height([name for name, _ in entries], WIDTH - 8)
+    room = legend_height([name for name, _ in entries], cell.width - 8)
     config = cell.setting.config
     way = StadiumTrack(config.plant.track.straight, config.plant.track.radius)
     long_side, short_side = (way.half + way.radius) * 100 + 10, way.radius * 100 + 10
-    width = WIDTH - LEFT - RIGHT
+    width = cell.width - LEFT - RIGHT
     height = width * short_side / long_side
-    canvas = Canvas(14 + height + 26 + room, f"Track, {cell.key}")
+    canvas = Canvas(14 + height + 26 + room, f"Track, {cell.key}", cell.width)
     panel = Panel(canvas, LEFT, 14, width, height, Scale(-long_side, long_side), Scale(-short_side, short_side),
                   title="x [cm]", x_label="y [cm]")
 
@@ -62,7 +62,7 @@ def track(cell: CellResults) -> Canvas | None:
                 draw_marker(canvas, there[0], there[1], cell.styles[name], 1.6, name)
     start = at(np.zeros(1))[0]
     canvas.text(start[0] + 4, start[1] + 10, "start", size=7, colour="muted")
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, entries, markers=True)
+    legend(canvas, room, entries, markers=True)
     return canvas
 
 
@@ -77,21 +77,21 @@ def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
         return None
     each = 84.0
     entries = [("leader", LEADER), ("follower", FOLLOWER)]
-    room = legend_height([name for name, _ in entries], WIDTH)
-    canvas = Canvas(len(chosen) * (each + 18) + 26 + room, f"Trains over time, {cells[0].scenario}")
+    room = legend_height([name for name, _ in entries], cells[0].width)
+    canvas = Canvas(len(chosen) * (each + 18) + 26 + room, f"Trains over time, {cells[0].scenario}", cells[0].width)
     tracks = {kind: [cell.kept[str(_shown(cell)), name] for name in ("s-a", "s-b")] for kind, cell in chosen.items()}
     alive = [np.isfinite(pair[0].truth) for pair in tracks.values()]
     x = spanning(*(pair[0].time[ok] for pair, ok in zip(tracks.values(), alive, strict=True)), log=False, margin=0.0)
     for row, (kind, pair) in enumerate(tracks.items()):
         last = row == len(tracks) - 1
-        panel = Panel(canvas, LEFT, 14 + row * (each + 18), WIDTH - LEFT - RIGHT, each, x,
+        panel = Panel(canvas, LEFT, 14 + row * (each + 18), cells[0].width - LEFT - RIGHT, each, x,
                       spanning(*(way.truth * 100 for way in pair), log=False), x_ticks=last,
                       title=f"{kind} block ({chosen[kind].variant}, {_shown(chosen[kind])}): way [cm]",
                       x_label="time [s]" if last else "")
         for way, style, name in zip(pair, (LEADER, FOLLOWER), ("leader", "follower"), strict=True):
             use = thinned(len(way.time))
             panel.line(way.time[use], way.truth[use] * 100, style, title=name)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, entries)
+    legend(canvas, room, entries)
     return canvas
 
 
@@ -102,15 +102,15 @@ def gap_over_time(cell: CellResults) -> Canvas | None:
         return None
     gaps = {label: (cell.kept[label, "gap"].time, cell.kept[label, "gap"].truth * 100) for label in labels}
     least = float(cell.setting.config.plant.control.safe_gap) * 100
-    room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Gap, {cell.key}")
+    room = legend_height(labels, cell.width - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Gap, {cell.key}", cell.width)
     x = spanning(*(time[np.isfinite(gap)] for time, gap in gaps.values()), log=False, margin=0.0)
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, x,
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, x,
                   spanning(*(gap for _, gap in gaps.values()), [0.0], log=False),
                   title="gap [cm]; dashed: the least admitted", x_label="time [s]")
     for label, (time, gap) in gaps.items():
         use = thinned(int(np.isfinite(gap).sum()), 400)
         panel.line(time[use], gap[use], cell.styles[label], width=0.9, title=label)
     panel.level(least, colour="ink", dash=(3, 2))
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
     return canvas

@@ -7,7 +7,7 @@ import numpy as np
 from ....estimators.random_access.bounds import CovarianceBounds
 from ....scenarios.arrays import Array
 from .axes import Panel, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
@@ -39,10 +39,10 @@ def trace_and_bounds(cell: CellResults) -> Canvas | None:
     if found:
         levels.append((f"upper bound, σ = {found[0]:g}", nx * found[0], Style("muted", (1.3, 1.3))))
     entries += [(name, style) for name, _, style in levels]
-    room = legend_height([name for name, _ in entries], WIDTH - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Trace of P, {cell.key}")
+    room = legend_height([name for name, _ in entries], cell.width - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Trace of P, {cell.key}", cell.width)
     time: Array = next(iter(tracks.values())).time
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(time, log=False, margin=0.0),
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, spanning(time, log=False, margin=0.0),
                   spanning(*(track.estimate for track in tracks.values()), [value for _, value, _ in levels]),
                   title="trace of P and its bounds", x_label="time [s]")
     for label, track in tracks.items():
@@ -50,5 +50,5 @@ def trace_and_bounds(cell: CellResults) -> Canvas | None:
         panel.line(track.time[use], track.estimate[use], cell.styles[label], width=0.8, title=label)
     for name, value, style in levels:
         panel.line(time[[0, -1]], np.array([value, value]), style, title=name)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, entries)
+    legend(canvas, room, entries)
     return canvas

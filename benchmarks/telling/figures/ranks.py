@@ -10,7 +10,7 @@ import pandas as pd
 from ...judging.ranks import over_settings
 from ..wording import number
 from .axes import Panel, Scale, draw_marker
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import MOST, label_room
 
@@ -22,15 +22,15 @@ def critical_difference(cells: Sequence[CellResults]) -> Canvas | None:
     found = {name: ranks for name in names if (ranks := over_settings(table, name))}
     if not found:
         return None
-    step = 11.0
-    left = label_room([label for labels, _ in found.values() for label in labels])
-    canvas = Canvas(sum(step * len(labels) + 50 for labels, _ in found.values()), f"Ranks, {cells[0].scenario}")
+    step, width = 11.0, cells[0].width
+    left = label_room([label for labels, _ in found.values() for label in labels], width)
+    canvas = Canvas(sum(step * len(labels) + 50 for labels, _ in found.values()), f"Ranks, {cells[0].scenario}", width)
     top = 14.0
     for name, (labels, ranks) in found.items():
         order = np.argsort(ranks.mean, kind="stable")
         height = step * len(labels) + 4
         bars = 5.0 * len(ranks.cliques) + 4
-        panel = Panel(canvas, left, top, WIDTH - left - bars - 4, height, Scale(0.8, len(labels) + 0.2), Scale(0, 1),
+        panel = Panel(canvas, left, top, width - left - bars - 4, height, Scale(0.8, len(labels) + 0.2), Scale(0, 1),
                       y_ticks=False, whole=True, x_label=f"mean rank over {ranks.n} variants, {name} (Friedman p "
                       f"{number(ranks.p, 2)})")
         for place, index in enumerate(order):
@@ -42,7 +42,7 @@ def critical_difference(cells: Sequence[CellResults]) -> Canvas | None:
         places = {int(index): place for place, index in enumerate(order)}
         for place, clique in enumerate(ranks.cliques):
             rows = [places[member] for member in clique]
-            x = WIDTH - bars + 5 * place + 2
+            x = width - bars + 5 * place + 2
             ends = [top + 2 + step * (end + 0.5) for end in (min(rows), max(rows))]
             canvas.path([(x, ends[0] - 3), (x, ends[1] + 3)], stroke="ink", width=2.4,
                         title="not told apart: " + ", ".join(labels[member] for member in clique))

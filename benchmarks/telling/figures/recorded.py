@@ -7,7 +7,7 @@ import numpy as np
 from ....scenarios.arrays import Array
 from ..wording import bracket
 from .axes import Panel, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
@@ -25,11 +25,11 @@ def recorded_trip(cell: CellResults) -> Canvas | None:
         return None
     (length, to_length), (pace, to_pace) = units["position"], units["speed"]
     above, each = 84.0, 40.0
-    room = legend_height(["reference", *labels], WIDTH - 8)
-    canvas = Canvas(14 + above + len(labels) * (each + 16) + 28 + room, f"Recorded trip, {cell.key}")
+    room = legend_height(["reference", *labels], cell.width - 8)
+    canvas = Canvas(14 + above + len(labels) * (each + 16) + 28 + room, f"Recorded trip, {cell.key}", cell.width)
     first = cell.kept[labels[0], "speed"]
     x, out = spanning(first.time, log=False, margin=0.0), _outages(cell)
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, above, x,
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, above, x,
                   spanning(*(cell.kept[label, "speed"].estimate * to_pace for label in labels), log=False),
                   title=bracket("speed", pace), x_ticks=False)
     _shade(panel, out)
@@ -42,15 +42,14 @@ def recorded_trip(cell: CellResults) -> Canvas | None:
         track, last = cell.kept[label, "position"], row == len(labels) - 1
         error, band = (track.estimate - track.truth) * to_length, BANDS * track.sd * to_length
         shown = [error, band, -band] if np.isfinite(band).any() else [error]
-        under = Panel(canvas, LEFT, 14 + above + 16 + row * (each + 16), WIDTH - LEFT - RIGHT, each, x,
+        under = Panel(canvas, LEFT, 14 + above + 16 + row * (each + 16), cell.width - LEFT - RIGHT, each, x,
                       spanning(*shown, log=False), title=bracket(f"position error of {label}", length), x_ticks=last,
                       x_label="time [s]" if last else "")
         _shade(under, out)
         under.band(track.time, -band, band, cell.styles[label].colour)
         use = thinned(len(track.time))
         under.line(track.time[use], error[use], Style(cell.styles[label].colour), width=0.9, title=label)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8,
-           [("reference", Style("ink")), *((label, cell.styles[label]) for label in labels)])
+    legend(canvas, room, [("reference", Style("ink")), *((label, cell.styles[label]) for label in labels)])
     return canvas
 
 
@@ -62,16 +61,16 @@ def errors_by_outage(cell: CellResults) -> Canvas | None:
     name, factor = cell.unit("rmse", "position-outage-end", "m")
     places, errors = cell.values(begin), cell.values(error)
     labels = [label for label in cell.labels if np.isfinite(errors[label]).any()]
-    room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Errors by outage, {cell.key}")
+    room = legend_height(labels, cell.width - 8)
+    canvas = Canvas(14 + 130 + 26 + room, f"Errors by outage, {cell.key}", cell.width)
     usual = [np.maximum(errors[label], np.nanquantile(errors[label], 0.1)) * factor for label in labels]
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, spanning(*places.values(), log=False, margin=0.02),
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, spanning(*places.values(), log=False, margin=0.02),
                   spanning(*usual, zero=True),
                   title=bracket("position error at the outage's end", name), x_label="the outage begins at [s]")
     for label in labels:
         order = np.argsort(places[label], kind="stable")
         panel.line(places[label][order], errors[label][order] * factor, cell.styles[label], width=0.9, title=label)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
     return canvas
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ....scenarios.arrays import Array
 from .axes import Panel, Scale, Style, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults, Kept
 from .errors import LEFT, RIGHT
 from .example import thinned
@@ -42,10 +42,10 @@ def error_under_allowance(cell: CellResults) -> Canvas | None:
     at, use = first.truth / 1000.0, thinned(len(first.time))
     allowed = np.where(known, asked[0]["constant"] + asked[0]["share"] * away, np.nan)
     errors = {label: np.where(known, track.estimate - track.truth - shift, np.nan) for label, track in tracks.items()}
-    room = legend_height([*errors, "allowed"], WIDTH - 8)
-    canvas = Canvas(14 + 150 + 26 + room, f"Error under the allowance, {cell.key}")
+    room = legend_height([*errors, "allowed"], cell.width - 8)
+    canvas = Canvas(14 + 150 + 26 + room, f"Error under the allowance, {cell.key}", cell.width)
     highest = 2.5 * float(np.nanmax(allowed))
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 150, spanning(at, log=False, margin=0.0),
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 150, spanning(at, log=False, margin=0.0),
                   Scale(-highest, highest), title="error of the distance since the last balise [m]",
                   x_label="position [km]")
     panel.band(at[use], -allowed[use], allowed[use], "muted", 0.18)
@@ -55,8 +55,7 @@ def error_under_allowance(cell: CellResults) -> Canvas | None:
         panel.line(at[use], error[use], cell.styles[label], width=0.8, title=label)
     for sign in (1, -1):
         panel.line(at[use], sign * allowed[use], Style("ink", (4.0, 1.6)), width=0.8, title="allowed")
-    legend(canvas, 4, canvas.height - room, WIDTH - 8,
-           [*((label, cell.styles[label]) for label in errors), ("allowed", Style("ink", (4.0, 1.6)))])
+    legend(canvas, room, [*((label, cell.styles[label]) for label in errors), ("allowed", Style("ink", (4.0, 1.6)))])
     return canvas
 
 
@@ -74,16 +73,16 @@ def width_against_misses(cell: CellResults) -> Canvas | None:
     if not found:
         return None
     floor = 1e-4
-    room = legend_height(list(found), WIDTH - 8)
-    canvas = Canvas(14 + 130 + 28 + room, f"Width against misses, {cell.key}")
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 130, Scale(floor / 2, 1.0, True),
+    room = legend_height(list(found), cell.width - 8)
+    canvas = Canvas(14 + 130 + 28 + room, f"Width against misses, {cell.key}", cell.width)
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, Scale(floor / 2, 1.0, True),
                   spanning(*([w] for _, w, _ in found.values()), margin=0.2), title="half-width claimed [m], median",
                   x_label=f"share of time missed (left edge: under {floor:g})")
     target = 1 - asked[0].get("accept", 0.99)
     panel.line([target, target], [panel.y.low, panel.y.high], Style("ink", (4.0, 1.6)), width=0.7, title="asked")
     for label, (miss, half, _) in found.items():
         panel.mark(max(miss, floor / 2), half, cell.styles[label], title=f"{label}: {miss:.4g}, {half:.3g} m")
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in found], markers=True)
+    legend(canvas, room, [(label, cell.styles[label]) for label in found], markers=True)
     return canvas
 
 
@@ -105,9 +104,9 @@ def claim_against_error(cell: CellResults) -> Canvas | None:
     everything = np.concatenate([np.concatenate(pair) for pair in pairs.values()])
     everything = everything[np.isfinite(everything) & (everything > ROUNDING)]
     scale = spanning(np.maximum(everything, 0.02), log=True)
-    room = legend_height(list(pairs), WIDTH - 8)
-    canvas = Canvas(14 + 170 + 28 + room, f"Claim against error, {cell.key}")
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 170, scale, scale, title="half-width claimed [m]",
+    room = legend_height(list(pairs), cell.width - 8)
+    canvas = Canvas(14 + 170 + 28 + room, f"Claim against error, {cell.key}", cell.width)
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 170, scale, scale, title="half-width claimed [m]",
                   x_label="|error| [m]; grey: the claim misses the truth")
     ends = np.array([scale.low, scale.high])
     panel.band(ends, np.full(2, scale.low), ends, "muted", 0.25)
@@ -116,5 +115,5 @@ def claim_against_error(cell: CellResults) -> Canvas | None:
         use = np.isfinite(error + claim)
         canvas.dots(panel.points(np.maximum(error[use], scale.low), np.maximum(claim[use], scale.low)),
                     cell.styles[label].colour, 1.8)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in pairs], markers=True)
+    legend(canvas, room, [(label, cell.styles[label]) for label in pairs], markers=True)
     return canvas

@@ -9,7 +9,7 @@ import numpy as np
 from ...judging.statistics import chi_square_interval
 from ..wording import counted
 from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
-from .canvas import WIDTH, Canvas
+from .canvas import Canvas
 from .data import CellResults
 from .errors import BINS, LEFT, RIGHT, label_room
 
@@ -46,17 +46,17 @@ def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: 
     if not len(time):
         return None
     limits = np.array([chi_square_interval(round(n), usual) for n in active])
-    room = legend_height(labels, WIDTH - 8)
-    canvas = Canvas(166 + room, f"{name} over time, {cell.key}")
+    room = legend_height(labels, cell.width - 8)
+    canvas = Canvas(166 + room, f"{name} over time, {cell.key}", cell.width)
     usually = [np.maximum(values, max(float(np.quantile(values, 0.05)), 1e-3)) for _, values, _ in lines.values()]
     y = spanning(*usually, limits, log=True)
-    panel = Panel(canvas, LEFT, 14, WIDTH - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
+    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
                   title=title, x_label="time [s]")
     panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.3)
     panel.level(1.0, colour="ink")
     for label, (at, value, _) in lines.items():
         panel.line(at, value, cell.styles[label], width=0.8, title=label)
-    legend(canvas, 4, canvas.height - room, WIDTH - 8, [(label, cell.styles[label]) for label in labels])
+    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
     return canvas
 
 
@@ -65,11 +65,11 @@ def certified_against_measured(cell: CellResults) -> Canvas | None:
     checks = {line["estimator"]: line for line in cell.lines("claim", "bound")}
     if not checks:
         return None
-    left, step = label_room(list(checks)), 16.0
+    left, step = label_room(list(checks), cell.width), 16.0
     height = step * len(checks) + 4
-    canvas = Canvas(height + 54, f"Certified bounds against measured mean squares, {cell.key}")
+    canvas = Canvas(height + 54, f"Certified bounds against measured mean squares, {cell.key}", cell.width)
     values = [v for line in checks.values() for v in (line["value"] / line["ratio"], line["value"])]
-    panel = Panel(canvas, left, 14, WIDTH - left - RIGHT - 4, height, spanning(values, log=True, margin=0.1),
+    panel = Panel(canvas, left, 14, cell.width - left - RIGHT - 4, height, spanning(values, log=True, margin=0.1),
                   Scale(0, 1), y_ticks=False, x_label="mean square of the performance output")
     for place, (label, bound) in enumerate(checks.items()):
         y, style = 16 + step * (place + 0.5), cell.styles[label]
