@@ -5,9 +5,10 @@ A: counts over a folder. B: a scenario, over its variants. C: a quantity of one 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from ..judging.comparison import Comparison
+from ..judging.floors import UNDER_NOTE
 from .marks import Line, drawn
 from .rankings import Cell, Ranking
 from .wording import (
@@ -220,14 +221,15 @@ def floor_name(line: Line) -> str:
 
 def _floor(ranking: Ranking) -> list[str]:
     """How near the best comes to the floor of the setting, where there is one."""
-    best: Mapping[str, object] = ranking.best or {}
-    kind = floor_name(best)
-    if not kind:
+    best = ranking.best
+    kind = floor_name(best) if best else ""
+    if best is None or not kind:
         return []
-    floor, low, high = best["floor"] * best["factor"], best["low"], best["high"]  # pyright: ignore
-    covers = " (its interval covers the floor)" if low <= best["floor"] <= high else ""  # pyright: ignore
-    return [f"{capital(kind)} {_with_unit(number(floor), ranking.unit)}: {best['estimator']} reaches "
-            f"{percent(float(best['efficiency']))}{covers}."]  # pyright: ignore
+    above = best["efficiency"] > 1 and kind.startswith("floor")
+    aside = (": under it, to be explained" if UNDER_NOTE in best["note"] else " (over 100 % by chance)" if above else
+             " (its interval covers it)" if best["low"] <= best["floor"] <= best["high"] else "")
+    return [f"{capital(kind)} {_with_unit(number(best['floor'] * best['factor']), ranking.unit)}: {best['estimator']} "
+            f"reaches {percent(best['efficiency'])}{aside}."]
 
 
 def title_of(ranking: Ranking) -> str:

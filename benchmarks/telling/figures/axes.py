@@ -16,7 +16,7 @@ from .canvas import FONT, Canvas, text_width
 DASHES: tuple[tuple[float, ...], ...] = ((), (4.0, 1.6), (1.3, 1.3), (6.0, 1.5, 1.3, 1.5), (2.5, 2.5))
 MARKERS = ("circle", "square", "triangle", "diamond", "down")
 _SHAPES: dict[str, Array] = {
-    "circle": np.column_stack([np.cos(np.arange(12) * np.pi / 6), np.sin(np.arange(12) * np.pi / 6)]),
+    "circle": np.column_stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)]),
     "square": np.array([[-0.88, -0.88], [0.88, -0.88], [0.88, 0.88], [-0.88, 0.88]]),
     "triangle": np.array([[0.0, -1.15], [1.05, 0.8], [-1.05, 0.8]]),
     "diamond": np.array([[0.0, -1.25], [1.25, 0.0], [0.0, 1.25], [-1.25, 0.0]]),
@@ -178,7 +178,7 @@ class Panel:
         if style.colour[1:].isdigit() and good.sum() > 12:
             begin = 7 * int(style.colour[1:]) + 3 * MARKERS.index(style.marker)  # so that they seldom lie on each other
             places = np.flatnonzero(good)
-            for place in places[(begin + len(places) * np.arange(4) // 4) % len(places)]:
+            for place in places[(begin + len(places) * np.arange(3) // 3) % len(places)]:
                 draw_marker(self.canvas, self._across(float(xs[place])), self._down(float(ys[place])), style, 1.6)
 
     def band(self, xs: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, opacity: float = 0.18) -> None:

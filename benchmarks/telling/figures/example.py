@@ -11,7 +11,7 @@ from .canvas import Canvas
 from .data import CellResults
 from .errors import LEFT, MOST, RIGHT
 
-POINTS = 100
+POINTS = 90
 CROWDED_OUT = 12.0
 """Errors this many times those of the best estimator leave the panel, which would show nothing else."""
 

@@ -41,7 +41,7 @@ def sentence(found: list[Paper]) -> str:
     total: Counter[str] = Counter()
     for paper in found:
         total.update(dict(paper.counts))
-    parts = [f"{total[word]} {said}" for word, said in WORDS.items() if total[word]]
+    parts = [f"{total[said]} {said}" for said in WORDS.values() if total[said]]
     return f"Of {sum(total.values())} published numbers: {', '.join(parts)}." if parts else ""
 
 

@@ -99,7 +99,7 @@ def section(results: Results, name: str, cells: Sequence[CellResults]) -> Sectio
     """A scenario's part. Figures of the settings are drawn for the default variant alone, all in files by `plot`."""
     drawings: dict[str, list[tuple[Figure, Markup]]] = {}
     for figure in FIGURES:
-        if figure.name not in FOR_EACH:
+        if figure.name not in FOR_EACH and not (figure.name == "nis" and cells[0].lines("consistency", "nees")):
             for variant, canvas in of_scenario(figure, cells if figure.draw_all else cells[:1]):
                 drawings.setdefault(variant, []).append((figure, _drawn(canvas)))
     about = cells[0].about
