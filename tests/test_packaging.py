@@ -39,4 +39,4 @@ def test_the_wheel_installed_elsewhere_runs_a_scenario(tmp_path: Path) -> None:
                   ("run", "rap-example-1", "--runs", "3", "--jobs", "1", "--out", "out"), ("report", "out")):
         done = fresh.run("railstate", *words)
         assert done.returncode == 0, f"{words}\n{done.stdout}{done.stderr}"
-    assert (tmp_path / "out" / "report.html").stat().st_size > 50_000
+    assert (tmp_path / "out" / "report.html").stat().st_size > 20_000
