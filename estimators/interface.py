@@ -130,7 +130,7 @@ class Estimator(ABC):
     predicts: ClassVar[bool] = True
     honours: ClassVar[tuple[str, ...]] = ()
     handles_late: ClassVar[bool] = False
-    lag: ClassVar[int | None] = 0
+    lag: int | None = 0
 
     status: NDArray[np.int8]
     reasons: dict[int, str]

@@ -115,8 +115,8 @@ class Reception:
 
     p_low <= Prob(received) <= p_high; `variance` bounds Prob (1 - Prob) where that is known better than from the
     interval (p-persistent CSMA). `nodes[i]` lists the measurement indices of node i, `p[i]` its probability of
-    being the one that transmits (random access). `breaks`: why no guarantee or covariance that takes readings as they
-    come holds over this channel; empty where it does."""
+    being the one that transmits (random access). `breaks`: why no guarantee holds over this channel, such as one that
+    counts on independent draws; `spoils`: why no covariance does either; empty where they may."""
 
     p_low: float = 1.0
     p_high: float = 1.0
@@ -124,6 +124,7 @@ class Reception:
     p: tuple[float, ...] = ()
     variance: float | None = None
     breaks: str = ""
+    spoils: str = ""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 from .arrays import Array
 from .augmented import Extra, augmented
 from .errors import InputError
-from .model import DesignModel
+from .model import DesignModel, Reception
 from .randomness import Streams
 from .schema import Augment, ScenarioConfig
 from .world import Sensing, World
@@ -113,6 +113,16 @@ class Setting(ABC, Generic[ConfigT]):
         """The model from which the least possible error of so many runs follows; None where none is known: where the
         truth's noise has no moments that a model of a few states has, or readings do not arrive as they were sent."""
         return None
+
+    @property
+    def uncertified(self) -> dict[str, str]:
+        """Why claims do not hold over the channel as it is, those there are of: `guarantee`, `covariance`, and `as-new`
+        for covariances of filters that take late packets for fresh ones."""
+        channel: Any = self.config.channel
+        known = channel.reception() if hasattr(channel, "reception") else Reception()
+        late = "late packets are taken for fresh ones" if getattr(channel, "longest", 0) else ""
+        found = {"guarantee": known.breaks, "covariance": known.spoils, "as-new": known.spoils or late}
+        return {what: why for what, why in found.items() if why}
 
     def sensing(self) -> Sensing | None:
         """The sensors, for faults and for channels that look at the readings; None where the setting takes no

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import InitVar, dataclass, field, fields
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,9 +64,9 @@ class Step:
 
     def kept(self) -> Step:
         """A copy to be scored later, without its events: worlds may use their arrays again."""
-        parts = {item.name: getattr(self, item.name) for item in fields(self)}
-        return Step(**{name: value.copy() if isinstance(value, np.ndarray) else value for name, value in parts.items()}
-                    | {"events": ()})
+        parts: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
+        copies = {name: value.copy() for name, value in parts.items() if isinstance(value, np.ndarray)}
+        return Step(**{**parts, **copies, "events": ()})
 
 
 class World(Protocol):

@@ -103,7 +103,7 @@ class Changes:
 def _compared(key: str, label: str, part: pd.DataFrame, about: Mapping[str, Any], a: str, b: str) -> list[Comparison]:
     """The comparisons of one cell: an error for each quantity, and the runs lost where they differ. None without two
     common runs."""
-    cell = Cell(f"{key}/{label}" if label else key, Aligned(part), about, {})
+    cell = Cell(f"{key}/{label}" if label else key, Aligned(part), about, {}, {})
     if cell.n < 2:
         return []
     return [Comparison(key, label, *pair) for pair in cell.duels(judged_columns(part, about), a, b)]

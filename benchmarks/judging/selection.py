@@ -52,6 +52,14 @@ def apart(manifest: Mapping[str, Any], scenario: str, variant: str) -> dict[str,
     return {label: kind for label, facts in about.items() for kind in ("oracle", "smoother") if facts.get(kind)}
 
 
+def grounds(manifest: Mapping[str, Any], scenario: str, variant: str) -> dict[str, str]:
+    """Label -> what an entry's claims rest on, by the names of `Setting.uncertified`."""
+    entries = manifest["configuration"]["cells"][f"{scenario}/{variant}"]["estimators"]
+    return {label: "as-new" if entry.get("late") == "as-new" else "guarantee"
+            if "reception" in manifest["estimators"][entry["plugin"]].get("needs", ()) else "covariance"
+            for label, entry in entries.items()}
+
+
 def yardsticks(manifest: Mapping[str, Any], scenario: str) -> list[str]:
     """Labels of a scenario's first Kalman-type filter, in every tuning (matched, naive, inflated)."""
     plugins: dict[str, str] = {}

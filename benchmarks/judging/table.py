@@ -18,7 +18,7 @@ from . import statistics as st
 from .family import Draws, compare_all, eligible
 from .floors import floor_lines, floored
 from .judged import Judged, Line, notes
-from .selection import ERRORS, FLOORS, NEGLIGIBLE, Aligned, Column, apart, cells, judged_columns, yardsticks
+from .selection import ERRORS, FLOORS, NEGLIGIBLE, Aligned, Column, apart, cells, grounds, judged_columns, yardsticks
 
 VERDICT_COLUMNS = (
     "scenario", "variant", "kind", "metric", "quantity", "unit", "shown_unit", "factor", "estimator", "value", "low",
@@ -35,7 +35,8 @@ def verdicts(rows: pd.DataFrame, manifest: Mapping[str, Any]) -> pd.DataFrame:
     lines: list[Line] = []
     for scenario, variant, part in cells(rows):
         about = manifest["scenarios"][scenario]
-        cell = Cell(f"{scenario}/{variant}", Aligned(part), about, apart(manifest, scenario, variant))
+        cell = Cell(f"{scenario}/{variant}", Aligned(part), about, apart(manifest, scenario, variant),
+                    grounds(manifest, scenario, variant))
         lines += cell.lines(judged_columns(part, about), yardsticks(manifest, scenario))
     return framed(lines)
 
@@ -52,7 +53,7 @@ def framed(lines: Sequence[Line]) -> pd.DataFrame:
     """Lines as a table of `VERDICT_COLUMNS`; numbers that a line lacks are NaN, texts empty."""
     table = pd.DataFrame(list(lines), columns=list(VERDICT_COLUMNS))
     table[list(TEXTS)] = table[list(TEXTS)].astype(object).fillna("")
-    table["eligible"] = table["eligible"].fillna(True).astype(bool)
+    table["eligible"] = table["eligible"].ne(False)  # missing: nothing speaks against it
     for name in ("runs", "lost", "family"):
         table[name] = table[name].fillna(0).astype(int)
     numbers = [name for name in VERDICT_COLUMNS if name not in (*TEXTS, "eligible", "runs", "lost", "family")]
@@ -61,10 +62,12 @@ def framed(lines: Sequence[Line]) -> pd.DataFrame:
 
 
 class Cell:
-    """One variant of one scenario, judged. key: `scenario/variant`, by which (and the runs) resampling is seeded."""
+    """One variant of one scenario, judged. key: `scenario/variant`, by which (and the runs) resampling is seeded.
+    apart, grounds: as those of `selection` tell."""
 
-    def __init__(self, key: str, aligned: Aligned, about: Mapping[str, Any], apart: Mapping[str, str]) -> None:
-        self.key, self.aligned, self.about, self.apart = key, aligned, about, apart
+    def __init__(self, key: str, aligned: Aligned, about: Mapping[str, Any], apart: Mapping[str, str],
+                 grounds: Mapping[str, str]) -> None:
+        self.key, self.aligned, self.about, self.apart, self.grounds = key, aligned, about, apart, grounds
         self.scenario, self.variant = key.split("/")[:2]
         self.draws = Draws(key, aligned.runs, about["variants"].get(self.variant, {}).get("level", st.ALPHA))
         self.labels, self.n = aligned.labels, aligned.runs
@@ -152,6 +155,17 @@ class Cell:
                     yield self._line("value", column, label, **_shown(found, i))
 
     def _claims(self) -> Iterator[Line]:
+        """`_claimed`; where the channel takes a claim's ground away, `not certified` beside what was measured."""
+        reasons = self.about["variants"][self.variant].get("uncertified", {})
+        for line in self._claimed():
+            ground = "guarantee" if line["kind"] == "claim" else self.grounds.get(line["estimator"], "covariance")
+            why = reasons.get(ground, "")
+            if why and (line["kind"] == "claim" or line["metric"] == "nees"):
+                note = "; ".join(filter(None, [why, f"measured: {line['verdict']}", line.get("note", "")]))
+                line = {**line, "verdict": "not certified", "note": note}
+            yield line
+
+    def _claimed(self) -> Iterator[Line]:
         """Covariances, sets and bounds that estimators claim."""
         none = np.full((len(self.labels), self.n), np.nan)
         nees, states, inside, median, held, bound, measured = (

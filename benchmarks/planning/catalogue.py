@@ -50,8 +50,8 @@ def said(name: str, cls: type[Estimator]) -> dict[str, Any]:
          "type": str(item.annotation).replace("typing.", "").removeprefix("<class '").removesuffix("'>"),
          "about": item.description or ""} for key, item in cls.Parameters.model_fields.items())
     return asdict(Described(name, str(cls.summary), str(cls.family), str(cls.source), str(cls.__doc__ or ""),
-                            names(cls.needs), names(cls.claims), bool(cls.oracle), cls.lag != 0, source_hash(cls.__module__),
-                            parameters))
+                            names(cls.needs), names(cls.claims), bool(cls.oracle), cls.lag != 0,
+                            source_hash(cls.__module__), parameters))
 
 
 def said_by_file(path: str) -> list[dict[str, Any]]:

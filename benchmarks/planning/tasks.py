@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from .plan import Plan, Task, own
 
-
 ROOM = 400e6
 """Bytes that the trajectories of a block of runs, or what an estimator keeps of them, may take."""
 

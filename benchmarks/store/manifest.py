@@ -68,12 +68,14 @@ class Configuration(_Part):
 
 class AboutVariant(_Part):
     """What is told of a variant. period: s; floor: what the least error possible is called, empty: none is known;
+    uncertified: why claims do not hold over its channel, see `Setting.uncertified`;
     until: why its runs were stopped, where that hung on them; level: of its verdicts."""
 
     notes: list[Text]
     fitted: list[Text]
     requirements: list[dict[str, Any]] = []
     floor: str = ""
+    uncertified: dict[str, str] = {}
     until: Text = ""
     level: Annotated[float, Field(gt=0, lt=1)] = 0.05
     title: Text
@@ -100,6 +102,7 @@ class AboutEstimator(_Part):
     family: Annotated[str, Field(max_length=60)] = "Other"
     source: Text
     claims: list[str]
+    needs: list[str] = []
     oracle: bool
     smoother: bool = False
 
@@ -193,12 +196,12 @@ def description(plan: Plan) -> dict[str, Any]:
             "quantities": [item.name for item in setting.quantities()], "table": _table(setting), "variants": {}})
         about["variants"][cell.variant] = {"notes": setting.notes, "fitted": config.fitted, "title": config.title,
                                            "period": setting.sampling_period, "floor": floor_kind(setting),
+                                           "uncertified": setting.uncertified,
                                            "requirements": [asked.model_dump() for asked in config.requirements]}
     plugins = {entry.plugin: plan.catalogue[entry.plugin] for cell in plan.cells for entry in cell.entries.values()}
     return {
         "scenarios": scenarios,
-        "estimators": {name: {"summary": one.summary, "family": one.family, "source": one.source, "claims": one.claims,
-                              "oracle": one.oracle, "smoother": one.smoother}
+        "estimators": {name: {field: getattr(one, field) for field in AboutEstimator.model_fields}
                        for name, one in plugins.items()},
         "replay": {"plugins": plan.catalogue.files, "cells": {
             cell.key: {"where": cell.where, "table": dict(cell.table),

@@ -140,6 +140,10 @@ def claims_of(cell: Cell) -> str:
     unsure = names([line for line in nees if line["verdict"] == "too cautious"])
     if unsure:
         parts.append(f"Too unsure: {some(unsure)}.")
+    loose = [line for line in (*nees, *cell.of("claim")) if line["verdict"] == "not certified"]
+    if loose:
+        parts.append(f"Claims are not certified here: {loose[0]['note'].partition(';')[0]}; beside them stands the "
+                     "measured mean square over the claim.")
     for line in cell.of("claim", "coverage"):
         if line["verdict"] == "broken":
             parts.append(f"{line['estimator']} {line['note'].replace('left in', 'left its set in')}.")

@@ -16,7 +16,7 @@ from .wording import bracket, counted, halves, metric_name, number, percent, rat
 INTERVALS_FROM = 100
 """Columns from which the ratio's interval and the time of a step are shown."""
 ANSWERS = {"too sure": "sure", "too cautious": "unsure", "consistent": "ok", "undecided": "?", "kept": "ok",
-           "broken": "broken", "": ""}
+           "broken": "broken", "not certified": "uncert.", "": ""}
 
 
 def print_cell(cell: Cell, about: str) -> None:

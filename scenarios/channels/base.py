@@ -4,7 +4,7 @@ A channel draws from the stream "channel" and streams beside it only, so that on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,8 @@ from ..arrays import Array, Index, Mask
 from ..model import Reception
 from ..randomness import RunRandom, Streams
 from ..schema import Strict
+
+OLD = "the receiver hands on old values as if they were fresh"
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,7 @@ class Base(Strict):
         found = self.transmitted()
         if self.silent == "nothing":
             return found
-        return Reception(found.p_low, found.p_high, found.nodes, found.p, found.variance,
-                         breaks="the receiver hands on old values as if they were fresh")
+        return replace(found, breaks=OLD, spoils=OLD)
 
 
 def beside(random: RunRandom, name: str) -> RunRandom:

@@ -12,6 +12,8 @@ from ..randomness import RunRandom
 from .base import Arrived, Sent
 from .nodes import OneAtATime
 
+BY_CONTENT = "try-once-discard picks readings by their content, noise included"
+
 
 class TryOnceDiscard(OneAtATime):
     """Each step the node with the greatest sum of (y - last sent)^2 / R over its elements transmits; nodes never heard
@@ -47,5 +49,4 @@ class TryOnceDiscard(OneAtATime):
         return Arrived(sent.y, sent.there & self.heard(chosen, ny))
 
     def transmitted(self) -> Reception:
-        return Reception(0.0, 1.0, *self.shares(),
-                         breaks="try-once-discard picks readings by their content, noise included")
+        return Reception(0.0, 1.0, *self.shares(), breaks=BY_CONTENT, spoils=BY_CONTENT)

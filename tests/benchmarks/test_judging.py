@@ -279,3 +279,25 @@ def test_chi_square_interval_is_that_of_the_bar_shalom_test() -> None:
 def test_a_family_of_one_and_of_one_run() -> None:
     assert compare_all(np.ones((1, 30)), Draws("k", 30), 0.5).critical == np.inf
     assert compare_all(np.ones((2, 1)), Draws("k", 1), 0.5).verdict(0, 1) == "undecided"
+
+
+def test_what_a_channel_takes_the_ground_from_is_not_certified(rng: np.random.Generator) -> None:
+    """A filter that takes late packets for fresh ones, one that rests on independent draws, one that just filters: the
+    reason and what was measured stand beside."""
+    labels = ["fresh", "draws", "filter"]
+    nees = {label: rng.chisquare(40, 60) / 40 for label in labels}
+    about = manifest(labels)
+    about["configuration"]["cells"]["s/v"]["estimators"]["fresh"]["late"] = "as-new"
+    about["estimators"]["draws"]["needs"] = ["reception"]
+    frame = rows({label: np.ones(60) for label in labels}, nees__state__1=nees,
+                 nees_states={label: np.ones(60) for label in labels})
+    for reasons, certain in (({}, {*labels}), ({"as-new": "late"}, {"draws", "filter"}),
+                             ({"guarantee": "turns"}, {"fresh", "filter"}), ({"covariance": "old"}, {"fresh", "draws"})):
+        about["scenarios"]["s"]["variants"]["v"] = {"uncertified": reasons}
+        found = verdicts(frame, about)
+        found = found[found["kind"] == "consistency"].set_index("estimator")
+        assert set(found.index[found["verdict"] != "not certified"]) == certain
+        assert found["value"].to_list() == pytest.approx([nees[label].mean() for label in labels])
+        for reason in reasons.values():
+            told = found.loc[[label for label in labels if label not in certain], "note"]
+            assert told.str.startswith(f"{reason}; measured: ").all()

@@ -202,7 +202,7 @@ def test_requirements_are_judged_with_their_sizes_beside() -> None:
     about = {"quantities": [], "shown": {}, "variants": {"v": {"requirements": [near.model_dump()]}}}
 
     def verdicts(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
-        cell = Cell("s/v", Aligned(table), about, {})
+        cell = Cell("s/v", Aligned(table), about, {}, {})
         return {line["estimator"]: line for line in cell._requirements()}
 
     found = verdicts(rows)
