@@ -187,6 +187,12 @@ def test_bad_tables_of_balises_are_one_message(folder: Path, table: str, message
         setting(folder)
 
 
+def test_an_entry_may_change_one_number_of_a_table(folder: Path) -> None:
+    """As `tune --over knowledge.slip.enter=..` does."""
+    told = setting(folder).resolve_knowledge({"slip": {"enter": 0.5}})
+    assert told.slip.enter == 0.5 and told.slip.leave == 0.3
+
+
 def test_wheels_belong_to_the_odometer_s_model(folder: Path) -> None:
     Plant.model_validate({"kind": "recorded"})
     for name, use, words in (("recorded", "wheel-a", "run recorded-odometry"),
