@@ -7,16 +7,23 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
 import typer
 
-from ...scenarios.errors import InputError
-from ..judging.table import verdicts_of
+from ...estimators.interface import Estimator
+from ...estimators.registry import estimator_class
+from ...scenarios.errors import Infeasible, InputError, Unsupported
+from ...scenarios.randomness import Streams
+from ...scenarios.registry import setting_of
+from ..judging.table import framed, verdicts_of
 from ..planning.naming import find_one
-from ..planning.plan import make_plan
+from ..planning.plan import Plan, make_plan, own
+from ..running.drive import prepare
 from ..running.runner import Machinery
 from ..store.folder import Store
 from ..studies.complete import complete
@@ -25,7 +32,7 @@ from ..telling.figures.axes import Style
 from ..telling.figures.canvas import LIGHT
 from ..telling.figures.data import assign_styles
 from ..telling.rankings import records
-from ..telling.wording import bracket, plus_minus
+from ..telling.wording import bracket, number, plus_minus, ratio
 from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
 
 _MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "down": "v"}
@@ -64,7 +71,8 @@ def sweep(
         label = ",".join(f"{key}={_plain(item)}" for key, item in point.items())
         store = complete(plan, folder / label.replace("/", "_"), machinery, command, timing=False)
         rows = store.rows()
-        summary = verdicts_of(store)
+        summary, designed = verdicts_of(store), _design_seconds(plan)
+        summary = pd.concat([summary, designed], ignore_index=True) if len(designed) else summary
         for key, item in reversed(point.items()):
             summary.insert(0, key, _plain(item))
         summaries.append(summary)
@@ -83,7 +91,42 @@ def sweep(
             print_table(bracket(f"{name}: {' '.join(pair)}", unit), _grid(part, list(axes), names, reasons),
                         ["± is half of the 95 % interval."])
             plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit, styles) if len(axes) == 1 else 0
+    for line in _broken(table, list(axes)):
+        print(line)
     print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
+
+
+def _design_seconds(plan: Plan) -> pd.DataFrame:
+    """Lines of what the plan's own estimators' designs took to solve (of one from the cache when it was fresh)."""
+    found: list[dict[str, Any]] = []
+    for cell in plan.cells:
+        setting = setting_of(cell.table, cell.key)
+        start = setting.world(Streams(plan.seed, cell.scenario, cell.variant, (0,))).initial_mean
+        for label, entry in cell.entries.items():
+            cls = estimator_class(entry.plugin, label) if own(cell, label) else Estimator
+            if cls.design is Estimator.design:
+                continue
+            with suppress(Infeasible, Unsupported):
+                estimator, model = prepare(setting, cls, entry.parameters, entry.knowledge, start,
+                                           augment=entry.augment)
+                seconds = estimator.design(model).get("design_s")
+                if seconds is not None:
+                    found.append({"scenario": cell.scenario, "variant": cell.variant, "estimator": label,
+                                  "kind": "value", "metric": "design", "quantity": "seconds", "unit": "s",
+                                  "shown_unit": "s", "factor": 1.0, "value": seconds, "low": seconds, "high": seconds,
+                                  "runs": 1})
+    return framed(found)
+
+
+def _broken(table: pd.DataFrame, keys: list[str]) -> Iterator[str]:
+    """Where a certified bound or a claimed set is exceeded, and where runs are lost."""
+    for line in records(table):
+        at = f"at {', '.join(f'{key} = {line[key]}' for key in keys)}: {line['estimator']}: "
+        if line["kind"] == "claim" and line["verdict"] == "broken":
+            yield at + (f"measured mean square {number(line['value'])} is {ratio(line['ratio'])} times its certified "
+                        "bound" if line["metric"] == "bound" else f"its claimed set does not hold: {line['note']}")
+        elif line["metric"] == "lost" and line["lost"]:
+            yield at + f"{line['lost']} of {line['runs']} runs lost"
 
 
 def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from ..observation import faulted
 from ..randomness import Streams
 from ..world import Event, Sensing, Step
 from .config import FixedBlockSignalling, MovingBlockConfig
-from .control import Control, authority_end, follow_acceleration, next_speed
+from .control import Control, authority_end, follow_acceleration, kept_distance, next_speed
 from .track import StadiumTrack, place, project
 
 
@@ -143,8 +143,8 @@ class TwoTrains:
     gap_sum, gap_least (S,): of the true gap over a run's steps, m; driven (S,): their number; lap_times (2, S): when
     each train had finished its laps, s, NaN while it has not. squared, counted (4, S): squared errors (m^2) summed
     while each train is under way, and how many. extra: along-track positions `s-a s-b`, their estimates
-    `estimate-s-a estimate-s-b`, `gap`, and map positions `x-a y-a x-b y-b estimate-x-a ..`, each (K, S) in m, NaN once
-    a run is over; index k is the instant at the end of step k."""
+    `estimate-s-a estimate-s-b`, `gap`, `kept-distance` d_min(k) of (23), and map positions `x-a y-a x-b y-b
+    estimate-x-a ..`, each (K, S) in m, NaN once a run is over; index k is the instant at the end of step k."""
 
     closed_loop = True
 
@@ -198,9 +198,9 @@ class TwoTrains:
         self.squared, self.counted = np.zeros((4, runs)), np.zeros((4, runs))
         self._truth, self._under_way = self.initial_mean, np.zeros((4, runs), dtype=bool)
         self.gap_sum, self.gap_least = np.zeros(runs), np.full(runs, np.inf)
-        self._along = np.full((self.steps, 5, runs), np.nan)
+        self._along = np.full((self.steps, 6, runs), np.nan)
         self._map = np.full((self.steps, 8, runs), np.nan)
-        names = ("s-a", "s-b", "gap", "estimate-s-a", "estimate-s-b")
+        names = ("s-a", "s-b", "gap", "kept-distance", "estimate-s-a", "estimate-s-b")
         axes = ("x-a", "y-a", "x-b", "y-b")
         self.extra = {name: self._along[:, i] for i, name in enumerate(names)}
         self.extra |= {name: self._map[:, i] for i, name in enumerate((*axes, *(f"estimate-{axis}" for axis in axes)))}
@@ -239,7 +239,7 @@ class TwoTrains:
         was_active = self.active.copy()
         _locate(np.ascontiguousarray(mean), memory, line, k * self.period, self.active)
         if k > 0:
-            self._along[k - 1, 3:] = np.where(was_active, memory.known, np.nan)
+            self._along[k - 1, 4:] = np.where(was_active, memory.known, np.nan)
         u, share, tag = np.empty((2, runs)), np.empty((2, runs)), np.zeros((2, runs), dtype=np.int64)
         _move(memory, line, self.control, self.stops, self.factor[k], self.crossings, self.read, self.active, u, share,
               tag)
@@ -249,7 +249,8 @@ class TwoTrains:
         self.gap_sum += np.where(self.active, gap, 0.0)
         self.gap_least = np.where(self.active, np.minimum(self.gap_least, gap), self.gap_least)
         self.driven += self.active
-        self._along[k, :3] = np.where(self.active, np.stack([memory.s[0], memory.s[1], gap]), np.nan)
+        kept = kept_distance.py_func(memory.v[1], self.control)
+        self._along[k, :4] = np.where(self.active, np.stack([memory.s[0], memory.s[1], gap, kept]), np.nan)
         self._map[k, :4] = np.where(self.active, truth, np.nan)
         self._truth, self._under_way = truth, np.repeat(np.isnan(self.lap_times), 2, axis=0)
         return Step(u, self._events(share, tag, k), truth, self.active.copy(), self._under_way,

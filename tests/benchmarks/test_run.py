@@ -275,6 +275,22 @@ def test_no_scheduler_is_one_message(railstate: Command) -> None:
     assert done.code == 2 and "--scheduler" in done.err
 
 
+def test_sweep_says_where_a_bound_is_exceeded_and_what_a_design_takes(railstate: Command) -> None:
+    """The certificate is for 1 to 3 trains: with 20 the measured mean square is beyond it, and said to be."""
+    done = railstate("sweep", "cbtc-csma", "--over", "channel.trains=1,20", "--set", "channel.traffic=constant",
+                     "--set", "knowledge.trains=[1,3]", "--set", "plant.cars=2", "--set", "time.steps=1500",
+                     "--estimators", "ultimate-bound", "--runs", 20, "--jobs", 1, "--metric",
+                     "mean-square:performance,design:seconds", "--out", "swept")
+    assert done.code == 0, done.err
+    said = [line for line in done.out.splitlines() if line.startswith("at channel.trains = ")]
+    assert len(said) == 1 and "20: ultimate-bound: measured mean square" in said[0] and "certified bound" in said[0]
+    table = pd.read_csv(railstate.folder / "swept" / "sweep.csv")
+    bound, measured = (table[(table["channel.trains"] == 20) & (table["metric"] == metric)]["value"].iloc[0]
+                       for metric in ("bound", "mean-square"))
+    assert f"is {measured / bound:.1f} times its certified bound" in said[0] and measured > bound
+    assert (table[table["metric"] == "design"]["value"] > 0).sum() == 2 and "design seconds" in done.out
+
+
 def test_sweep_writes_rows_table_and_plots(railstate: Command) -> None:
     done = railstate("sweep", "cart.toml", "--plugin", "half.py", "--over", "channel.p=0.3,0.9", "--runs", 10,
                      "--estimators", "half,kalman", "--out", "swept")

@@ -84,8 +84,9 @@ FIGURES: tuple[Figure, ...] = (
            "One point a run: the error at the end of the outage over where the outage begins.", errors_by_outage,
            kinds=("recorded",)),
     Figure("parameter", "The parameter f and the particles' diversity",
-           "Above, f and its estimates averaged over all runs; below, how many values of f are left among the "
-           "particles of the first kept run.", parameter_and_diversity, kinds=("braking",)),
+           "Above, f and its estimates averaged over all runs; with up to eight estimators a band shows one standard "
+           "deviation of single runs. Below, how many values of f are left among the particles of the first kept run.",
+           parameter_and_diversity, kinds=("braking",)),
     Figure("receptions", "What came through the channel",
            "First kept run in windows: share of packets that arrived, and the longest wait for one.", receptions,
            kinds=("coupled-cars",)),
@@ -93,17 +94,20 @@ FIGURES: tuple[Figure, ...] = (
            "Time between trains that each estimator's largest position error allows; bands are 95 % intervals.",
            headway, kinds=("coupled-cars",)),
     Figure("trace", "Trace of P and its bounds",
-           "First kept run. The bounds are those of the smallest and largest eigenvalue, times the number of states.",
+           "First kept run of the filter that the bounds are about. They are those of the smallest and largest "
+           "eigenvalue, times the number of states.",
            trace_and_bounds, kinds=("linear",)),
     Figure("track", "The track",
-           "From above, with tags, both trains' noses at some instants of the first kept run, and where each was "
+           "From above, with tags, the noses of A and B at some instants of the first kept run, and where each was "
            "believed to be then.", track,
            kinds=("moving-block",)),
     Figure("trains", "Both trains under moving and fixed block",
-           "Way of the leader's and the follower's nose in the first kept run.", draw_all=trains_over_time,
+           "Way of the leader's and the follower's nose in the first kept run; bars mark the gap between the leader's "
+           "tail and the follower's nose.", draw_all=trains_over_time,
            kinds=("moving-block",)),
     Figure("gap", "Gap between the trains",
-           "True gap in the first kept run; each estimator drives its own loop.", gap_over_time,
+           "True gap in the first kept run; each estimator drives its own loop. Dashed: the least admitted; dotted: "
+           "d_min(k), under which the synchronization acts.", gap_over_time,
            kinds=("moving-block",)),
 )
 

@@ -13,12 +13,14 @@ from .example import thinned
 
 ROWS = (("gradient", "gradient [‰]", 1000.0), ("disturbance", "disturbance [m/s²]", 1.0))
 """Extras drawn under the speed: name, title, factor."""
+FOUR = ("robust-bounded", "ekf", "ukf", "ckf")
+"""Those of the paper's Figure 3."""
 
 
 def speed_profile(cell: CellResults) -> Canvas | None:
-    """Speed over position in the first kept run, with the estimate of the best and the worst estimator, the speed that
-    was to be kept and the limit; below it those estimators' errors, the line's gradients and the disturbance that the
-    estimators do not know."""
+    """Speed over position in a kept run, with the estimates of the paper's four estimators (where they are not all
+    there, of the best and the worst), the speed that was to be kept and the limit; below it those estimators' errors,
+    the line's gradients and the disturbance that the estimators do not know."""
     labels = [label for label in cell.labels if (label, "position") in cell.kept and (label, "speed") in cell.kept]
     if not labels:
         return None
@@ -29,7 +31,7 @@ def speed_profile(cell: CellResults) -> Canvas | None:
         track: Kept | None = cell.kept.get(("", name))
         return None if track is None else np.interp(place.time, track.time, track.truth)
 
-    ends = _best_and_worst(cell, labels)
+    ends = _compared(cell, labels)
     lines: list[tuple[str, Array, Style]] = [("true speed", speed.truth * 3.6, Style("ink"))]
     lines += [(label, _at(cell, label, place) * 3.6, cell.styles[label]) for label in ends]
     for name, label, style in (("reference-speed", "reference", Style("muted", (4.0, 1.6))),
@@ -63,8 +65,11 @@ def speed_profile(cell: CellResults) -> Canvas | None:
     return canvas
 
 
-def _best_and_worst(cell: CellResults, labels: list[str]) -> list[str]:
-    """Of the estimators with a kept run those of least and greatest judged speed error (one where it is the same)."""
+def _compared(cell: CellResults, labels: list[str]) -> list[str]:
+    """The paper's four; else of the estimators with a kept run those of least and greatest judged speed error (one
+    where it is the same)."""
+    if set(FOUR) <= set(labels):
+        return list(FOUR)
     found = {line["estimator"]: line["value"] for line in cell.lines("error", quantity="speed")}
     known = [label for label in labels if np.isfinite(found.get(label, np.nan))] or labels[:1]
     error = {label: found.get(label, 0.0) for label in known}

@@ -14,8 +14,10 @@ from .data import CellResults
 from .errors import LEFT, RIGHT
 from .example import thinned
 
-LEADER, FOLLOWER, TAG, TRUE = Style("c0"), Style("c1", (), "square"), Style("muted", (), "diamond"), Style("ink")
-INSTANTS = 16
+LEADER, FOLLOWER, TAG = Style("c0"), Style("c1", (), "square"), Style("muted", (), "diamond")
+TRAINS = {"a": Style("ink"), "b": Style("ink", (), "square")}
+"""How the two trains are told apart, whoever estimates them."""
+INSTANTS, GAPS = 24, 12
 
 
 def _shown(cell: CellResults) -> str | None:
@@ -25,13 +27,15 @@ def _shown(cell: CellResults) -> str | None:
 
 
 def track(cell: CellResults) -> Canvas | None:
-    """The track from above with its tags; at some instants where both trains' noses were, and where the encoder alone
-    and a filter, each in its own loop, believed them to be."""
+    """The track from above with its tags; at some instants where both trains' noses were (dark; A round, B square), and
+    where the encoder alone and a filter, each in its own loop, believed them to be (in their colours)."""
     names = dict.fromkeys(("dead-reckoning", _shown(cell) or ""))
     labels = [name for name in names if (name, "estimate-x-b") in cell.kept]
     if not labels:
         return None
-    entries = [("tag", TAG), ("true", TRUE), *((name, cell.styles[name]) for name in labels)]
+    entries = [("tag", TAG), ("A, true", TRAINS["a"]), ("B, true", TRAINS["b"]),
+               *((f"{name}, {train.upper()}", Style(cell.styles[name].colour, (), TRAINS[train].marker))
+                 for name in labels for train in "ab")]
     room = legend_height([name for name, _ in entries], cell.width - 8)
     config = cell.setting.config
     way = StadiumTrack(config.plant.track.straight, config.plant.track.radius)
@@ -57,9 +61,10 @@ def track(cell: CellResults) -> Canvas | None:
             steps = steps[thinned(len(steps), INSTANTS)]
             was, thought = (panel.points(y[steps] * 100, x[steps] * 100) for y, x in (true, believed))
             for here, there in zip(was, thought, strict=True):
-                canvas.path([here, there], stroke=cell.styles[name].colour, width=0.8)
-                draw_marker(canvas, here[0], here[1], TRUE, 1.2, "true")
-                draw_marker(canvas, there[0], there[1], cell.styles[name], 1.6, name)
+                colour, marker = cell.styles[name].colour, TRAINS[train].marker
+                canvas.path([here, there], stroke=colour, width=0.8)
+                draw_marker(canvas, here[0], here[1], TRAINS[train], 1.2, f"{train.upper()}, true")
+                draw_marker(canvas, there[0], there[1], Style(colour, (), marker), 1.6, f"{name}, {train.upper()}")
     start = at(np.zeros(1))[0]
     canvas.text(start[0] + 4, start[1] + 10, "start", size=7, colour="muted")
     legend(canvas, room, entries, markers=True)
@@ -67,7 +72,8 @@ def track(cell: CellResults) -> Canvas | None:
 
 
 def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
-    """Ways of both trains under moving block and under fixed block, first kept run of one filter."""
+    """Ways of both trains under moving block and under fixed block, a kept run of one filter; the gap from the leader's
+    tail to the follower's nose is marked at some instants, its mean said in the title."""
     chosen: dict[str, CellResults] = {}
     for cell in cells:
         kind = str(cell.table.get("plant", {}).get("signalling", {}).get("kind", ""))
@@ -76,9 +82,10 @@ def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
     if not chosen:
         return None
     each = 84.0
-    entries = [("leader", LEADER), ("follower", FOLLOWER)]
+    entries = [("leader", LEADER), ("follower", FOLLOWER), ("gap", TAG)]
     room = legend_height([name for name, _ in entries], cells[0].width)
-    canvas = Canvas(len(chosen) * (each + 18) + 26 + room, f"Trains over time, {cells[0].scenario}", cells[0].width)
+    canvas = Canvas(len(chosen) * (each + 18) + 26 + room, f"Trains over time, {cells[0].scenario}",
+                    cells[0].width)
     tracks = {kind: [cell.kept[str(_shown(cell)), name] for name in ("s-a", "s-b")] for kind, cell in chosen.items()}
     alive = [np.isfinite(pair[0].truth) for pair in tracks.values()]
     x = spanning(*(pair[0].time[ok] for pair, ok in zip(tracks.values(), alive, strict=True)), log=False, margin=0.0)
@@ -86,23 +93,40 @@ def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
         last = row == len(tracks) - 1
         panel = Panel(canvas, LEFT, 14 + row * (each + 18), cells[0].width - LEFT - RIGHT, each, x,
                       spanning(*(way.truth * 100 for way in pair), log=False), x_ticks=last,
-                      title=f"{kind} block ({chosen[kind].variant}, {_shown(chosen[kind])}): way [cm]",
+                      title=f"{kind} block, {_shown(chosen[kind])}: way [cm]; mean gap "
+                      f"{_mean_gap(chosen[kind]):.0f} cm",
                       x_label="time [s]" if last else "")
         for way, style, name in zip(pair, (LEADER, FOLLOWER), ("leader", "follower"), strict=True):
             use = thinned(len(way.time))
             panel.line(way.time[use], way.truth[use] * 100, style, title=name)
+        steps = np.flatnonzero(np.isfinite(pair[0].truth))
+        length = float(chosen[kind].setting.config.plant.trains.length)
+        for k in steps[thinned(len(steps), GAPS)]:
+            ends = panel.points([pair[0].time[k]] * 2, [pair[1].truth[k] * 100, (pair[0].truth[k] - length) * 100])
+            canvas.path(ends, stroke=TAG.colour, width=0.7, title="gap")
     legend(canvas, room, entries)
     return canvas
 
 
+def _mean_gap(cell: CellResults) -> float:
+    """Over the time of the run shown, cm."""
+    return float(np.nanmean(cell.kept[str(_shown(cell)), "gap"].truth)) * 100
+
+
 def gap_over_time(cell: CellResults) -> Canvas | None:
-    """The true gap in each estimator's own loop, first kept run, and the distance that must not be undercut."""
+    """The true gap in each estimator's own loop, a kept run; d_min(k) of one of them, under which the synchronization
+    acts (under moving block); and the distance that must not be undercut."""
     labels = [label for label in cell.labels if (label, "gap") in cell.kept]
     if not labels:
         return None
     gaps = {label: (cell.kept[label, "gap"].time, cell.kept[label, "gap"].truth * 100) for label in labels}
     least = float(cell.setting.config.plant.control.safe_gap) * 100
-    room = legend_height(labels, cell.width - 8)
+    moving = cell.setting.config.plant.signalling.kind == "moving"
+    acting = cell.kept.get((str(_shown(cell)), "kept-distance")) if moving else None
+    entries = [(label, cell.styles[label]) for label in labels]
+    if acting is not None:
+        entries.append((f"d_min(k), {_shown(cell)}", Style("ink", (1.3, 1.3))))
+    room = legend_height([name for name, _ in entries], cell.width - 8)
     canvas = Canvas(14 + 130 + 26 + room, f"Gap, {cell.key}", cell.width)
     x = spanning(*(time[np.isfinite(gap)] for time, gap in gaps.values()), log=False, margin=0.0)
     panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, x,
@@ -111,6 +135,9 @@ def gap_over_time(cell: CellResults) -> Canvas | None:
     for label, (time, gap) in gaps.items():
         use = thinned(int(np.isfinite(gap).sum()), 400)
         panel.line(time[use], gap[use], cell.styles[label], width=0.9, title=label)
+    if acting is not None:
+        use = thinned(int(np.isfinite(acting.truth).sum()), 400)
+        panel.line(acting.time[use], acting.truth[use] * 100, entries[-1][1], width=0.8, title=entries[-1][0])
     panel.level(least, colour="ink", dash=(3, 2))
-    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
+    legend(canvas, room, entries)
     return canvas
