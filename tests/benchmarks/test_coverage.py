@@ -14,7 +14,7 @@ import typer
 from railstate.benchmarks.cli import app
 from railstate.benchmarks.commands.options import labels, names_in, overrides
 from railstate.benchmarks.planning.catalogue import Catalogue
-from railstate.benchmarks.planning.naming import find
+from railstate.benchmarks.planning.naming import find, find_one
 from railstate.benchmarks.published.files import papers
 from railstate.benchmarks.telling.figures.catalogue import FIGURES
 from railstate.estimators.ultimate_bound.gains import read_gain
@@ -59,12 +59,14 @@ def test_what_a_row_names_is_there(row: tuple[str, ...]) -> None:
         asked = [asked] if isinstance(asked, str) else asked
         told = overrides([*(given.get("set_") or []), *(one.split(",")[0] for one in given.get("over") or [])])
         for name in asked if given["command"] in ("run", "sweep", "design", "certify", "compare", "show") else ():
-            scenario, variants = find(name, told)
+            one = find_one(name, told) if given["command"] == "sweep" else None
+            scenario, variants = (one[0], [one[1]]) if one else find(name, told)
             for variant in variants:
                 setting = scenario.setting(variant)
                 known |= {item.name for item in setting.quantities()}
-                both = [given["a"], given["b"]] if given["command"] == "compare" else labels(given.get("estimators", ""))
-                assert set(both) <= {*setting.config.estimators, *Catalogue().names()}, words
+                named = labels(given.get("estimators", ""))
+                named += [given["a"], given["b"]] if given["command"] == "compare" else []
+                assert set(named) <= {*setting.config.estimators, *Catalogue().names()}, words
         if given["command"] == "reproduce":
             assert given["papers"] and papers(given["papers"])
         if given["command"] == "certify":
