@@ -40,6 +40,7 @@ class ExtendedKalman(Estimator):
         super().start(model, runs, random)
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(model.initial_covariance, dtype=float, order="C")
+        self._estimate = Estimate(self._mean, covariance=self._covariance)
         self._failed = np.zeros(runs, dtype=bool)
         self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))
         self._shared_variance = np.zeros((model.ny, 1))
@@ -75,7 +76,9 @@ class ExtendedKalman(Estimator):
         return Innovation(self._residual, variance)
 
     def estimate(self) -> Estimate:
-        return Estimate(self._mean, covariance=self._covariance)
+        if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:
+            self._estimate = Estimate(self._mean, covariance=self._covariance)
+        return self._estimate
 
     def _expand(self) -> None:
         """From now on the runs' covariances differ."""

@@ -54,6 +54,7 @@ class SigmaPointKalman(Estimator):
         self._weights_mean, self._weights_covariance, self._scale = self.weights(n)
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(np.broadcast_to(model.initial_covariance, (n, n, runs)), order="C")
+        self._estimate = Estimate(self._mean, covariance=self._covariance)
         self._failed = np.zeros(runs, dtype=bool)
         self._residual, self._variance = np.zeros((ny, runs)), np.zeros((ny, runs))
         self._everyone, self._none = np.arange(runs), np.empty((n, 0, 0))
@@ -94,7 +95,9 @@ class SigmaPointKalman(Estimator):
         return Innovation(self._residual, self._variance)
 
     def estimate(self) -> Estimate:
-        return Estimate(self._mean, covariance=self._covariance)
+        if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:
+            self._estimate = Estimate(self._mean, covariance=self._covariance)
+        return self._estimate
 
     def _regress(self, r: Array, step: int) -> tuple[Array, Array, Array]:
         """The measurement as a linear one with more noise: its mean (ny, S), h (ny, nx, S), R (ny, ny, S)."""

@@ -44,6 +44,14 @@ class RunRandom:
                                 for run in self.runs]
         return self._generators
 
+    def counted(self, which: Mask | None = None) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """The key and the places (S,) that compiled code draws at by itself (`normals`): the number of each run and of
+        this draw of it. which (S,): runs that draw. These share no number with those of the other ways."""
+        place = self.drawn.copy()
+        self.drawn += 1 if which is None else which
+        key = np.array([self._key[0] & 0xFFFFFFFF, self._key[0] >> 32], dtype=np.uint64)
+        return key, np.array(self.runs, dtype=np.int64), place  # pyright: ignore[reportReturnType]
+
     def normal(self, *shape: int, which: Mask | None = None) -> Array:
         """Standard normal draws, shape (*shape, S). which (S,): runs that draw; the others get 0, drawing nothing."""
         return self._fill(shape, which, np.random.Generator.standard_normal)

@@ -14,7 +14,8 @@ from .options import names_in
 
 def timing(
     only: Annotated[str, typer.Option(metavar="A,B", help="Comparisons to run; none: all.")] = "",
-    repeats: Annotated[int, typer.Option(help="Repetitions; the median is shown.")] = 5,
+    repeats: Annotated[int, typer.Option(help="Repetitions, all sides in turn; the minimum is shown.")] = 5,
+    processes: Annotated[int, typer.Option(help="Processes, one after the other, each with all repetitions.")] = 3,
 ) -> None:
     """Measure whole filter steps as the runner drives them, against a peer doing the same work."""
     from ..speed import COMPARISONS, race
@@ -23,7 +24,8 @@ def timing(
     unknown = [name for name in chosen if name not in COMPARISONS]
     if unknown:
         raise InputError(f"--only {','.join(unknown)}: no such comparison; allowed: {', '.join(COMPARISONS)}")
-    if repeats < 1:
-        raise InputError("--repeats: must be at least 1")
+    for option, value in (("--repeats", repeats), ("--processes", processes)):
+        if value < 1:
+            raise InputError(f"{option}: must be at least 1")
     for name in chosen:
-        print_table(f"{name}: {COMPARISONS[name]}", pd.DataFrame(race(name, repeats)))
+        print_table(f"{name}: {COMPARISONS[name]}", pd.DataFrame(race(name, repeats, processes)))

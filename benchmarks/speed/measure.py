@@ -1,4 +1,6 @@
-"""What the speed comparisons share: our steps as the runner drives them, a peer's own loop, a line of the table."""
+"""What the speed comparisons share: sides that do the same work, measured in turn, and lines over several processes.
+
+Minimums: other work on the machine only ever adds. Ratios are of one process each, whose memory both sides share."""
 
 from __future__ import annotations
 
@@ -15,65 +17,125 @@ from ...scenarios.world import Trajectory
 from ..planning.plan import Cell, make_plan
 from ..running.drive import drive, prepare
 from ..running.execute import FirstSteps
-from ..running.latency import measure
 
 Row = dict[str, str]
+BY_HAND = "written by hand"
+"""What the compiled loops of `by_hand` are called: the limit, no peer."""
 
 
-def cell_of(name: str, label: str, overrides: dict[str, Any] | None = None) -> Cell:
-    """One scenario variant with one estimator."""
-    return make_plan([name], only=[label], overrides=overrides).cells[0]
+def cell_of(name: str, label: str, overrides: dict[str, Any] | None = None, plugin: str = "") -> Cell:
+    """One scenario variant with one estimator; plugin: another one than the entry has, with its defaults."""
+    cell = make_plan([name], only=[label], overrides=overrides).cells[0]
+    if not plugin:
+        return cell
+    entry = cell.entries[label].model_copy(update={"plugin": plugin, "parameters": {}})
+    return Cell(cell.scenario, cell.variant, cell.where, cell.table, {label: entry})
 
 
-class Ours(NamedTuple):
-    """Medians over some drives, in ns per run-step: inside the estimator, scoring it, and the runner's own. means: the
-    estimates at the end (nx, runs)."""
+class Side(NamedTuple):
+    """One side of a comparison. run() returns seconds, the number of run-steps, and the final means (nx, runs)."""
 
-    estimator: float
-    scoring: float
-    runner: float
-    means: Array
+    name: str
+    run: Callable[[], tuple[float, int, Array]]
 
 
-def ours(cell: Cell, label: str, runs: int, steps: int, repeats: int) -> Ours:
-    """Measure `repeats` drives after a warm-up. The truth is simulated beforehand and not counted."""
+class Line(NamedTuple):
+    """An estimator of ours against a peer, in ns per run-step. apart: greatest difference between the two estimates:
+    the same work was done. faster: how many times."""
+
+    estimator: str
+    states: int
+    runs: int
+    peer: str
+    mine: float
+    theirs: float
+    faster: float
+    apart: float
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        return self[:4]
+
+    @property
+    def row(self) -> Row:
+        """As it is shown."""
+        return {"estimator": self.estimator, "states": str(self.states), "runs": str(self.runs),
+                "ns/run-step": _digits(self.mine), "peer": self.peer, "peer ns/run-step": _digits(self.theirs),
+                "times faster": _digits(self.faster), "estimates differ by": f"{self.apart:.1e}"}
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
+
+
+def ours(cell: Cell, label: str, runs: int, steps: int) -> Side:
+    """Whole steps as the runner drives them, the time inside the estimator. The truth is simulated beforehand."""
     setting, entry = cell.setting(), cell.entries[label]
     world = setting.world(Streams(1, cell.scenario, cell.variant, range(runs)))
     short = FirstSteps(world, steps)
-    parts, last = [], np.empty((0, runs))
-    for repeat in range(repeats + 1):
+
+    def run() -> tuple[float, int, Array]:
         estimator, model = prepare(setting, estimators()[entry.plugin], entry.parameters, entry.knowledge,
                                    world.initial_mean, augment=entry.augment)
         estimator.design(model)
         random = Streams(1, cell.scenario, cell.variant, range(runs))("estimator", label)
-        begun = perf_counter()
         driven = drive(setting, short, estimator, model, random)
-        total = perf_counter() - begun
-        if repeat:
-            parts.append(1e9 / driven.steps.sum() * np.array(
-                [driven.seconds, driven.scoring, total - driven.seconds - driven.scoring]))
-        last = estimator.estimate().mean.copy()
-    estimator, scoring, runner = (float(value) for value in np.median(parts, axis=0))
-    return Ours(estimator, scoring, runner, last)
+        return driven.seconds, int(driven.steps.sum()), estimator.estimate().mean.copy()
+
+    return Side(label, run)
 
 
-def peer(loop: Callable[[], tuple[int, Array]], repeats: int) -> tuple[float, Array]:
-    """(ns per run-step, final means) of a peer's loop, which returns its number of run-steps; median after a
-    warm-up."""
-    seconds, last = [], np.empty(0)
-    for repeat in range(repeats + 1):
+def peer(name: str, loop: Callable[[], tuple[int, Array]]) -> Side:
+    """A peer's own loop, which returns its number of run-steps and its final means."""
+
+    def run() -> tuple[float, int, Array]:
         begun = perf_counter()
         count, last = loop()
-        if repeat:
-            seconds.append(1e9 * (perf_counter() - begun) / count)
-    return float(np.median(seconds)), last
+        return perf_counter() - begun, count, last
+
+    return Side(name, run)
 
 
-def line(what: str, runs: int, mine: float, name: str, theirs: float, apart: float, **more: str) -> Row:
-    """A line of a comparison. apart: greatest difference between the two estimates: the same work was done."""
-    return {"estimator": what, "runs": str(runs), "ns/run-step": f"{mine:.0f}", "peer": name,
-            "peer ns/run-step": f"{theirs:.0f}", "times faster": f"{theirs / mine:.0f}" if theirs >= 10 * mine
-            else f"{theirs / mine:.1f}", "estimates differ by": f"{apart:.1e}", **more}
+def contest(mine: Side, states: int, runs: int, peers: list[Side], repeats: int) -> list[Line]:
+    """A line per peer: minimums of so many repetitions, all sides in turn, after a warm-up of each."""
+    best, last = _minimums([mine, *peers], repeats)
+    return [Line(mine.name, states, runs, side.name, best[0], best[i], best[i] / best[0], _apart(last[0], last[i]))
+            for i, side in enumerate(peers, 1)]
+
+
+def contest_of_parts(mine: Side, short: Side, slow: Side, states: int, runs: int, repeats: int) -> list[Line]:
+    """A line against a peer too slow for all of it: timed once over a part, in which the estimates are compared."""
+    (best,), _ = _minimums([mine], repeats)
+    (_, theirs), last = _minimums([short, slow], 1)
+    return [Line(mine.name, states, runs, slow.name, best, theirs, theirs / best, _apart(*last))]
+
+
+def _minimums(sides: list[Side], repeats: int) -> tuple[list[float], list[Array]]:
+    """ns per run-step of each side, and its final means."""
+    best, last = [np.inf] * len(sides), [np.empty(0)] * len(sides)
+    for repeat in range(repeats + 1):
+        for i, side in enumerate(sides):
+            seconds, count, last[i] = side.run()
+            if repeat:
+                best[i] = min(best[i], 1e9 * seconds / count)
+    return best, last
+
+
+def _apart(a: Array, b: Array) -> float:
+    """Of the runs that both have."""
+    runs = min(a.shape[1], b.shape[1])
+    return float(np.abs(a[:, :runs] - b[:, :runs]).max())
+
+
+def merged(processes: list[list[Line]]) -> list[Line]:
+    """Lines of several processes as one each: least times, the median of the paired ratios, the greatest difference."""
+    out = []
+    for lines in zip(*processes, strict=True):
+        assert len({line.key for line in lines}) == 1
+        out.append(lines[0]._replace(
+            mine=min(line.mine for line in lines), theirs=min(line.theirs for line in lines),
+            faster=float(np.median([line.faster for line in lines])), apart=max(line.apart for line in lines)))
+    return out
 
 
 def recorded(cell: Cell, runs: int) -> Trajectory:
@@ -81,8 +143,3 @@ def recorded(cell: Cell, runs: int) -> Trajectory:
     world = cell.setting().world(Streams(1, cell.scenario, cell.variant, range(runs)))
     assert isinstance(world, Trajectory)
     return world
-
-
-def latency(cell: Cell, label: str) -> float:
-    """Median microseconds of one step of one run."""
-    return 1e6 * float(np.median(measure(cell, label, 1)[1]))

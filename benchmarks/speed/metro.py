@@ -1,4 +1,4 @@
-"""The metro model's EKF, UKF and CKF against filterpy's, each peer a bare loop over steps with a plain Python model."""
+"""The metro model's EKF, UKF and CKF against filterpy's, in a bare loop with a plain Python model, and by hand."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from ...estimators.sigma_point import UnscentedKalman
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Interval, untold
 from ...scenarios.metro.setting import Metro
-from .measure import Row, cell_of, latency, line, ours, peer, recorded
+from . import by_hand
+from .measure import BY_HAND, Line, cell_of, contest, ours, peer, recorded
 
-RUNS, STEPS, PEER_RUNS = 1000, 200, 3
+RUNS, STEPS, PEER_RUNS = (1, 100, 1000), 200, 3
 
 
 class PlainMetro:
@@ -55,43 +56,68 @@ class PlainMetro:
         return np.array([[1.0, dt + 0.5 * dt * dt * d], [0.0, 1.0 + dt * d]])
 
 
-def race(repeats: int) -> list[Row]:
-    """One line per filter: 1000 runs of ours against filterpy, one run's step latency of both, and what our runner adds
-    for scoring and for itself."""
-    rows = []
+def race(repeats: int) -> list[Line]:
+    """Each filter at each number of runs against filterpy and the loop written by hand."""
+    lines = []
     for label in ("ekf", "ukf", "ckf"):
         cell = cell_of("ningbo-metro/white", label)
-        mine, scoring, runner, means = ours(cell, label, RUNS, STEPS, repeats)
-        loop = _Loop(cell, label)
-        theirs, last = peer(loop.run, repeats)
-        apart = float(np.abs(means[:, :PEER_RUNS] - last).max())
-        here = latency(cell, label)
-        rows.append(line(label, RUNS, mine, "filterpy", theirs, apart,
-                         **{"one run [us]": f"{here:.1f}", "peer one run [us]": f"{theirs / 1e3:.0f}",
-                            "latency better": f"{theirs / 1e3 / here:.1f}",
-                            "scoring ns/run-step": f"{scoring:.0f}", "runner ns/run-step": f"{runner:.1f}"}))
-    return rows
+        for runs in RUNS:
+            sides = [peer("filterpy", _Loop(cell, label, min(runs, PEER_RUNS)).run),
+                     peer(BY_HAND, _ByHand(cell, label, runs).run)]
+            lines += contest(ours(cell, label, runs, STEPS), 2, runs, sides, repeats)
+    return lines
+
+
+class _ByHand:
+    """The compiled loop of one kind over the same truths."""
+
+    def __init__(self, cell: Any, label: str, runs: int) -> None:
+        setting = cell.setting()
+        assert isinstance(setting, Metro)
+        self.label, self.world, plant = label, recorded(cell, runs), setting.config.plant
+        self.law = plant.train.forces, plant.line.slope(plant.train.rotating)
+        self.period, (self.P0, self.Q, self.R) = setting.config.time.period, _covariances(setting, self.world)
+        self.u = np.ascontiguousarray(self.world.u[:STEPS, 0])
+        self.y = np.ascontiguousarray(self.world.y[:STEPS])
+
+    def run(self) -> tuple[int, Array]:
+        """All runs; returns the number of run-steps and the final means (2, runs)."""
+        runs = self.u.shape[1]
+        x, P = self.world.initial_mean.copy(), np.repeat(self.P0[[0, 1, 1], [0, 0, 1], None], runs, axis=1)
+        given = (x, P, self.u, self.y, self.period, *self.law, self.Q[[0, 1, 1], [0, 0, 1]], self.R.diagonal().copy())
+        if self.label == "ekf":
+            by_hand.metro_ekf(*given)
+        elif self.label == "ukf":
+            by_hand.metro_points(*given, 3.0**0.5, 1 / 3, 1 / 6)
+        else:
+            by_hand.metro_points(*given, 2.0**0.5, 0.0, 0.25)
+        return runs * len(self.u), x
+
+
+def _covariances(setting: Metro, world: Any) -> tuple[Array, Array, Array]:
+    """P0, Q, R (2, 2) as the design model has them."""
+    model = setting.design_model({}, world.initial_mean)
+    assert model.process_covariance and model.measurement_covariance
+    whole = Interval(1, 0.0, setting.config.time.period)
+    Q = model.process_covariance(world.initial_mean, world.u[0], whole)
+    R = model.measurement_covariance(untold(1, 2))
+    return model.initial_covariance[:, :, 0].copy(), Q[:, :, 0].copy(), R[:, :, 0].copy()
 
 
 class _Loop:
     """filterpy's filter of one kind over a few runs of the same truths."""
 
-    def __init__(self, cell: Any, label: str) -> None:
+    def __init__(self, cell: Any, label: str, runs: int) -> None:
         setting = cell.setting()
         assert isinstance(setting, Metro)
-        self.label, self.plain, self.world = label, PlainMetro(setting), recorded(cell, PEER_RUNS)
-        model = setting.design_model({}, self.world.initial_mean)
-        assert model.process_covariance and model.measurement_covariance
-        whole = Interval(1, 0.0, self.plain.period)
-        self.Q = model.process_covariance(self.world.initial_mean, self.world.u[0], whole)[:, :, 0].copy()
-        self.R = model.measurement_covariance(untold(1, 2))[:, :, 0].copy()
-        self.P0 = model.initial_covariance[:, :, 0].copy()
+        self.label, self.plain, self.world, self.runs = label, PlainMetro(setting), recorded(cell, runs), runs
+        self.P0, self.Q, self.R = _covariances(setting, self.world)
 
     def run(self) -> tuple[int, Array]:
         """All runs; returns the number of run-steps and the final means (2, runs)."""
         loops = {"ekf": self._ekf, "ukf": self._ukf, "ckf": self._ckf}
-        last = [loops[self.label](run) for run in range(PEER_RUNS)]
-        return PEER_RUNS * STEPS, np.array(last).T
+        last = [loops[self.label](run) for run in range(self.runs)]
+        return self.runs * STEPS, np.array(last).T
 
     def _set(self, filter: Any, run: int) -> Any:
         filter.x, filter.P, filter.Q, filter.R = self.world.initial_mean[:, run].copy(), self.P0.copy(), self.Q, self.R

@@ -6,31 +6,27 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from ...estimators.reference.particle_loop import particle_loop
 from ...estimators.registry import estimators
 from ...scenarios.arrays import Array
 from ...scenarios.randomness import Streams
 from ..planning.plan import Cell
-from .measure import Row, cell_of, line, ours, peer, recorded
+from .measure import Line, cell_of, contest_of_parts, ours, peer, recorded
 
 RUNS, STEPS, PEER_STEPS = 200, 150, 30
 
 
-def race(repeats: int) -> list[Row]:
+def race(repeats: int) -> list[Line]:
     """A line per estimator and form. Both filters see the same run; the peer's is cut short."""
-    rows = []
+    lines = []
     for label in ("rbpf", "sma", "gsma"):
         cell = cell_of("braking-rate/paper", label)
-        theirs, last = peer(_Loop(cell, label).run, 1)
         for form in ("factorised", "full"):
             here = with_form(cell, label, form)
-            mine = ours(here, label, RUNS, STEPS, repeats).estimator
-            same = ours(here, label, 1, PEER_STEPS, 1).means
-            rows.append(line(f"{label}, {form}", RUNS, mine, "numpy loop over particles", theirs,
-                             float(np.abs(same[:, 0] - last).max())))
-    return rows
+            mine, short = ours(here, label, RUNS, STEPS), ours(here, label, 1, PEER_STEPS)
+            slow = peer("numpy loop over particles", _Loop(cell, label).run)
+            lines += contest_of_parts(mine._replace(name=f"{label}, {form}"), short, slow, 4, RUNS, repeats)
+    return lines
 
 
 def with_form(cell: Cell, label: str, form: str) -> Cell:

@@ -24,7 +24,7 @@ INDEFINITE = 1e-9
 @kernel
 def tile_width(n, runs):
     """How many runs to take at a time: a few (n, n, width) arrays stay in the cache, and whole vectors fit."""
-    return min(runs, max(64, 512 // max(n, 1) // 32 * 32))
+    return max(1, min(runs, max(64, 512 // max(n, 1) // 32 * 32)))
 
 
 @kernel
@@ -192,11 +192,11 @@ def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance
     transition, jacobian: compiled functions by address, and what both take (`compiled.SIGNATURE`)."""
     n, runs = mean.shape
     wide = tile_width(n, runs)
-    index = np.empty(wide, np.int64)
-    x, moved, f = np.empty((n, wide)), np.empty((n, wide)), np.empty((n, n, wide))
-    inputs, times, lengths = np.empty((u.shape[0], wide)), np.empty((1, wide)), seconds.reshape(1, runs)
-    tile_q = np.empty((n, n, 1 if q.shape[2] == 1 else wide))
-    p, half = np.empty((n, n, wide)), np.empty((n, n, wide))
+    index, lengths = np.empty(wide, np.int64), seconds.reshape(1, runs)
+    cubes, rows = np.empty((3 * n, n, wide)), np.empty((2 * n + 1 + u.shape[0], wide))
+    p, f, half = cubes[:n], cubes[n:2 * n], cubes[2 * n:]
+    x, moved, times, inputs = rows[:n], rows[n:2 * n], rows[2 * n:2 * n + 1], rows[2 * n + 1:]
+    tile_q = q if q.shape[2] == 1 else np.empty((n, n, wide))
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
         for s in range(width):
@@ -204,7 +204,8 @@ def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance
         gather2(mean, index, width, x)
         gather2(u, index, width, inputs)
         gather2(lengths, index, width, times)
-        gather3(q, index, width, tile_q)
+        if q.shape[2] > 1:
+            gather3(q, index, width, tile_q)
         gather3(covariance, index, width, p)
         call(transition, x, inputs, times, data, 1, width, wide, moved)
         call(jacobian, x, inputs, times, data, 1, width, wide, f)

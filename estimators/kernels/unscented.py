@@ -95,11 +95,12 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
     model, u, seconds, data: the transition and what it takes, see `compiled.SIGNATURE`: points are drawn and propagated
     block by block. model 0: `moved` (nx, m, S) are the propagated points, from a model that is called from Python."""
     n, m, runs = mean.shape[0], len(weights_mean), len(index)
-    wide = max(1, tile_width(n, runs))
-    x, p, factor, inverse = np.empty((n, wide)), np.empty((n, n, wide)), np.empty((n, n, wide)), np.empty((n, wide))
-    noise = np.empty((n, n, 1 if q.shape[2] == 1 else wide))
-    points, cloud = np.empty((n, m, wide)), np.empty((n, m, wide))
-    inputs, times, lengths = np.empty((u.shape[0], wide)), np.empty((1, wide)), seconds.reshape(1, len(seconds))
+    wide, lengths = tile_width(n, runs), seconds.reshape(1, len(seconds))
+    cubes, clouds = np.empty((2 * n, n, wide)), np.empty((2 * n, m, wide))
+    rows, lost = np.empty((2 * n + 1 + u.shape[0], wide)), np.empty(wide, np.bool_)
+    p, factor, points, cloud = cubes[:n], cubes[n:], clouds[:n], clouds[n:]
+    x, inverse, times, inputs = rows[:n], rows[n:2 * n], rows[2 * n:2 * n + 1], rows[2 * n + 1:]
+    noise = q if q.shape[2] == 1 else np.empty((n, n, wide))
     bad = 0
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
@@ -107,7 +108,8 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
         if model == 0:
             gather3(moved, part, width, cloud)
         else:
-            lost = np.zeros(width, np.bool_)
+            for s in range(width):
+                lost[s] = False
             gather2(mean, part, width, x)
             gather3(covariance, part, width, p)
             gather2(u, part, width, inputs)
@@ -117,7 +119,8 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
             for s in range(width):
                 failed[part[s]] |= lost[s]
                 bad += lost[s]
-        gather3(q, part, width, noise)
+        if q.shape[2] > 1:
+            gather3(q, part, width, noise)
         _moments(cloud, weights_mean, x, width)
         for a in range(n):
             for b in range(a + 1):

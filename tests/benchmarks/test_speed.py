@@ -9,7 +9,7 @@ from railstate.benchmarks.speed import COMPARISONS, cars, metro, particles, race
 
 from ..conftest import Command
 
-SMALL = {"metro": (metro, {"RUNS": 12, "STEPS": 30}, 2e-8), "cars": (cars, {"STEPS": 25}, 1e-9),
+SMALL = {"metro": (metro, {"RUNS": (1, 12), "STEPS": 30}, 2e-8), "cars": (cars, {"RUNS": (1, 12), "STEPS": 25}, 1e-9),
          "robust": (robust, {"RUNS": 5, "STEPS": 10, "PEER_STEPS": 8}, 1e-5),
          "particles": (particles, {"RUNS": 4, "STEPS": 10, "PEER_STEPS": 10}, 1e-9)}
 
@@ -33,7 +33,7 @@ def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPa
 def test_a_peer_that_is_not_installed_is_one_message(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "simdkalman", None)
     monkeypatch.setattr(cars, "STEPS", 3)
-    done = railstate("timing", "--only", "cars", "--repeats", 1)
+    done = railstate("timing", "--only", "cars", "--repeats", 1, "--processes", 1)
     assert done.code == 2 and "its peer simdkalman is not installed" in done.err and "Traceback" not in done.err
     refused = railstate("timing", "--only", "horses")
     assert refused.code == 2 and "allowed: metro, cars, robust, particles" in refused.err

@@ -9,10 +9,11 @@ import pytest
 from railstate.estimators.baselines import DeadReckoning, Direct, Truth
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.kalman import ExtendedKalman, Kalman
-from railstate.estimators.particle import BootstrapParticle, _count_degenerate
+from railstate.estimators.particle import BootstrapParticle
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.measurement import untold
 from railstate.scenarios.model import DesignModel, Linear
+from railstate.scenarios.normals import normals, uniform
 
 from .. import models
 from ..models import Record, heard, whole
@@ -93,11 +94,19 @@ def test_particle_filter_equals_a_textbook_loop() -> None:
     data = models.record(model, runs, steps)
     means, covariances = models.feed(BootstrapParticle({"particles": count, "resample_below": 0.6}), model, data)
     stream = models.random(runs)
-    noise = [stream.normal(2, count)]
-    offsets = []
+
+    def drawn() -> np.ndarray:
+        key, numbers, places = stream.counted()
+        out = np.empty((runs, 2 * count))
+        for row, run, place in zip(out, numbers, places, strict=True):
+            normals(key, place, run, row)
+        return np.moveaxis(out.reshape(runs, 2, count), 0, 2)
+
+    noise, offsets = [drawn()], []
     for k in range(steps):
-        noise.append(stream.normal(2, count))
-        offsets.append(stream.uniform(0.0, 1.0, which=data.received[k].any(axis=0)))
+        noise.append(drawn())
+        key, *places = stream.counted(data.received[k].any(axis=0))
+        offsets.append([uniform(key, place, run) for run, place in zip(*places, strict=True)])
     resampled = 0
     for run in range(runs):
         x = model.initial_mean[:, [run]] + np.linalg.cholesky(model.initial_covariance[:, :, 0]) @ noise[0][:, :, run]
@@ -150,10 +159,6 @@ def test_steps_whose_particles_have_degenerated_are_counted() -> None:
     many = BootstrapParticle({"particles": 3000})
     models.feed(many, model, data)
     assert (few <= 10).all() and few.sum() > 0 and many.counters()["degenerate"].sum() == 0
-    weights, counted = np.zeros((4, 3)), np.zeros(3)
-    weights[:, 0], weights[0, 1], weights[:, 2] = 0.25, 1.0, (0.5, 0.5, 0, 0)
-    _count_degenerate(weights, np.array([True, True, False]), 3, counted)
-    assert counted.tolist() == [0.0, 1.0, 0.0]  # 4, 1 and (not told) 2 effective particles
 
 
 def test_particle_filter_is_bit_identical_in_any_batch() -> None:
