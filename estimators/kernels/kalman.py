@@ -178,14 +178,14 @@ def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residua
     """`kalman_update` where every run received the same elements: covariance (nx, nx, 1) and h (ny, nx, 1) are shared,
     r (ny, ny, 1) is diagonal, and the gains and variance (ny, 1) are computed once for all runs. Bit-identical to
     `kalman_update` on each run."""
-    n, ny, runs = mean.shape[0], y.shape[0], mean.shape[1]
+    n, ny, runs, one = mean.shape[0], y.shape[0], mean.shape[1], covariance.shape[2]
     noise, gain, lost = np.empty((ny, 1)), np.empty((ny, n, 1)), np.zeros(1, np.bool_)
     work = np.empty((n + 3, runs))
     for j in range(ny):
         noise[j, 0] = r[j, j, 0]
-    decompose(covariance, lost, work, 1)
-    sequential(covariance, h, noise, received, gain, variance, lost, work, 1)
-    compose(covariance, work, 1)
+    decompose(covariance, lost, work, one)
+    sequential(covariance, h, noise, received, gain, variance, lost, work, one)
+    compose(covariance, work, one)
     innovate(y, predicted, received, residual, runs)
     shift(mean, residual, h, gain, work, runs)
     if lost[0]:

@@ -12,6 +12,7 @@ from railstate.estimators.kalman import ExtendedKalman, Kalman
 from railstate.estimators.particle import BootstrapParticle
 from railstate.estimators.reference.filterpy import FilterpyCubature, FilterpyExtended, FilterpyUnscented
 from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
+from railstate.scenarios.compiled import Compiled
 from railstate.scenarios.errors import Infeasible, Unsupported
 from railstate.scenarios.measurement import Interval, untold
 from railstate.scenarios.model import DesignModel
@@ -168,6 +169,22 @@ def test_the_family_agrees_on_a_linear_model() -> None:
         means, covariances = models.feed(make(), model, data)
         np.testing.assert_allclose(means, reference, rtol=0, atol=1e-9)
         np.testing.assert_allclose(covariances, covariance, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["ukf", "ckf", "ekf"])
+def test_compiled_and_linear_models_are_as_any_other(name: str) -> None:
+    """The same model as machine code and in Python, its measurement known to be linear and not: the same estimates."""
+    model = models.linear(70, correlated=True, ny=3)
+    assert isinstance(model.transition, Compiled) and model.linear_measurement
+    data = models.record(model, 70, 12)
+    means, covariances = models.feed(FAMILY[name](), model, data)
+    plain = replace(model, transition=lambda x, u, interval: model.transition(x, u, interval))
+    for other in (plain, replace(plain, linear_measurement=False)):
+        found, spread = models.feed(FAMILY[name](), other, data)
+        np.testing.assert_allclose(found, means, rtol=0, atol=1e-12 * np.abs(means).max())
+        np.testing.assert_allclose(spread, covariances, rtol=0, atol=1e-12 * np.abs(covariances).max())
+    with pytest.raises(ValueError, match="1 inputs, not 2"):
+        model.transition(model.initial_mean, np.zeros((2, 70)), whole(0, model.period))
 
 
 def test_covariance_is_shared_until_runs_differ() -> None:
