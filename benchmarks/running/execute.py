@@ -238,24 +238,23 @@ def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> li
     """Sums over the runs per step, a table a quantity; NEES under the quantity name `nees`, NIS under `nis`."""
     curves, times = driven.scored.curves, step_times(driven.world)
     steps = np.flatnonzero(curves["active"] > 0)
+    none, zero = np.full(len(steps), np.nan), np.zeros(len(steps))
     tables = []
     for q, item in enumerate(setting.quantities()):
         if np.isnan(curves["squared"][steps, q]).all():
             continue  # a parameter that is not estimated
+        least = none if driven.floor is None else np.nansum(driven.floor.squares[steps, q], axis=1)
         tables.append((item.name, curves["active"][steps], curves["squared"][steps, q], curves["fourth"][steps, q],
-                       curves["error"][steps, q]))
-    if curves["nees-count"].any():
-        zero = np.zeros(len(steps))
-        tables.append(("nees", curves["nees-count"][steps], curves["nees"][steps], zero, zero))
-    if curves["nis-count"].any():
-        zero = np.zeros(len(steps))
-        tables.append(("nis", curves["nis-count"][steps], curves["nis"][steps], zero, zero))
+                       curves["error"][steps, q], least))
+    for name in ("nees", "nis"):
+        if curves[f"{name}-count"].any():
+            tables.append((name, curves[f"{name}-count"][steps], curves[name][steps], zero, zero, none))
     n = len(steps)
     return [pa.table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
         "step": pa.array(steps, pa.int32()), "time": times[steps], "quantity": [name] * n,
-        "active": active, "squared": squared, "fourth": fourth, "error": error,
-    }) for name, active, squared, fourth, error in tables]
+        "active": active, "squared": squared, "fourth": fourth, "error": error, "floor": floor,
+    }) for name, active, squared, fourth, error, floor in tables]
 
 
 def _trajectory(task: Task, label: str, run: int, times: np.ndarray, steps: np.ndarray, name: str,

@@ -19,7 +19,7 @@ ROWS = {"scenario": pa.string(), "variant": pa.string(), "estimator": pa.string(
 COUNTS = ("steps", "nees_states")
 OTHERS = {"curves": {**dict.fromkeys(("scenario", "variant", "estimator", "quantity"), pa.string()),
                      "step": pa.int32(),
-                     **dict.fromkeys(("time", "active", "squared", "fourth", "error"), pa.float64())},
+                     **dict.fromkeys(("time", "active", "squared", "fourth", "error", "floor"), pa.float64())},
           "kept": {**dict.fromkeys(("scenario", "variant", "estimator", "name"), pa.string()),
                    **dict.fromkeys(("run", "step"), pa.int32()),
                    **dict.fromkeys(("time", "truth", "estimate", "sd"), pa.float64())}}

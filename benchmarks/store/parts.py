@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CURVES = ("scenario", "variant", "estimator", "quantity", "step", "time")
-SUMS = ("active", "squared", "fourth", "error")
+SUMS = ("active", "squared", "fourth", "error", "floor")
+"""Sums over runs; `floor`, of the least mean squares, is NaN where there is none, and parts without it are read."""
 TRAJECTORIES = (*IDENTITY, "step", "time", "name", "truth", "estimate", "sd")
-NEEDED = {"rows": (*IDENTITY, "status", "reason", "exception", "seconds"), "curves": (*CURVES, *SUMS),
+NEEDED = {"rows": (*IDENTITY, "status", "reason", "exception", "seconds"), "curves": (*CURVES, *SUMS[:4]),
           "trajectories": TRAJECTORIES}
 """Columns that every part of a kind has."""
 _WORDS = ("scenario", "variant", "estimator", "status", "reason", "exception", "quantity", "name")
@@ -143,15 +144,17 @@ def read_curves(folder: Path) -> pd.DataFrame:
     columns: dict[str, Any] = {}
     for place, name in enumerate(CURVES[:4]):
         columns[name] = pd.Categorical(np.repeat(np.array([key[place] for key in keys], dtype=object), lengths))
-    values = np.concatenate(list(sums.values()), axis=1) if sums else np.empty((6, 0))
+    values = np.concatenate(list(sums.values()), axis=1) if sums else np.empty((7, 0))
     columns.update(zip((*CURVES[4:], *SUMS), (values[0].astype(np.int32), *values[1:]), strict=True))
     return pd.DataFrame(columns, columns=[*CURVES, *SUMS])
 
 
 def _curves_of(table: pa.Table) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-    """(scenario, variant, estimator, quantity) and, sorted by step, step, time and the sums (6, K) of a part."""
+    """(scenario, variant, estimator, quantity) and, sorted by step, step, time and the sums (7, K) of a part."""
     code, names = codes(table, CURVES[:4])
-    values = np.array([table[name].to_numpy() for name in (*CURVES[4:], *SUMS)], dtype=float)
+    none = np.full(table.num_rows, np.nan)
+    values = np.array([table[name].to_numpy() if name in table.column_names else none
+                       for name in (*CURVES[4:], *SUMS)], dtype=float)
     order = np.argsort(code, kind="stable")
     if ((np.diff(values[0][order]) < 0) & (np.diff(code[order]) == 0)).any():
         order = np.lexsort((values[0], code))

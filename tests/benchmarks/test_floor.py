@@ -221,6 +221,12 @@ def test_verdicts_and_tables_have_the_floor(railstate: Command) -> None:
         np.testing.assert_allclose([line["floor"], line["efficiency"]], [least, least / line["value"]], rtol=1e-12)
         each = mine[f"efficiency:{line['quantity']}:1"]
         np.testing.assert_allclose(each, mine[f"floor:{line['quantity']}:1"] / mine[f"rmse:{line['quantity']}:1"])
+    curves = store.curves()
+    x1 = curves[(curves["quantity"] == "x1") & (curves["estimator"] == "random-access")]
+    least = rows.loc[rows["estimator"] == "random-access", "floor:x1:1"]
+    assert x1["floor"].sum() / x1["active"].sum() == pytest.approx((least**2).mean())
+    assert curves.loc[curves["quantity"] == "nees", "floor"].isna().all()
+    assert railstate("plot", "out", "--figure", "error-over-time").code == 0
     summary = pd.read_csv("out/summary.csv")
     assert len(summary[summary["metric"].isin(["floor", "efficiency"])]) == 8
     assert "eff." in Path("out/tables/rap-example-2~printed.md").read_text()

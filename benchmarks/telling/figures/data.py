@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,15 @@ from .canvas import COLOURS, WIDTH
 
 @dataclass(frozen=True)
 class Curve:
-    """Sums over the runs at each step: time (K,), number of runs, sum of squares, of their squares, of errors."""
+    """Sums over the runs at each step: time (K,), number of runs, sum of squares, of their squares, of errors, of
+    the least mean squares possible (NaN or empty: not known)."""
 
     time: Array
     active: Array
     squared: Array
     fourth: Array
     error: Array
+    floor: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ def assign_styles(groups: Sequence[Sequence[str]]) -> dict[str, Style]:
 
 def _curves(frame: pd.DataFrame) -> dict[tuple[str, str], dict[tuple[str, str], Curve]]:
     return {cell: {key: Curve(*columns) for key, columns in parts.items()} for cell, parts in
-            _split(frame, "quantity", ("time", "active", "squared", "fourth", "error")).items()}
+            _split(frame, "quantity", ("time", "active", "squared", "fourth", "error", "floor")).items()}
 
 
 def _kept(frame: pd.DataFrame | None, run: int) -> dict[tuple[str, str], dict[tuple[str, str], Kept]]:

@@ -5,17 +5,21 @@ estimators share a figure, bands are left out."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ....scenarios.arrays import Array
 from ...judging.statistics import finite
 from ..wording import bracket, metric_name
-from .axes import Panel, legend, legend_height, spanning
+from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import Canvas, text_width
 from .data import CellResults, Curve
 
 MOST, CROWD = 3, 8
 BINS = 130
+FLOOR = Style("muted", (2.0, 2.0))
+"""How the least possible error is drawn, of the first estimator's truths."""
 LEFT, RIGHT = 36.0, 6.0
 
 
@@ -35,6 +39,14 @@ def binned_rms(curve: Curve) -> tuple[Array, Array, Array, Array]:
     root = np.sqrt(mean)
     half = np.divide(1.96 * error, 2 * root, out=np.zeros_like(root), where=root > 0)
     return time, root, np.maximum(root - half, 0.0), root + half
+
+
+def binned_floor(curve: Curve) -> tuple[Array, Array]:
+    """Time and root of the least mean square possible, in the bins of `binned_rms`; empty where it is not known."""
+    if not np.isfinite(curve.floor).any():
+        return np.zeros(0), np.zeros(0)
+    time, root, _, _ = binned_rms(replace(curve, squared=curve.floor))
+    return time, root
 
 
 def error_over_time(cell: CellResults) -> Canvas | None:
@@ -64,6 +76,9 @@ def error_over_time(cell: CellResults) -> Canvas | None:
             panel.band(time, low * factor, high * factor, cell.styles[label].colour)
         for label, (time, root, _, _) in found.items():
             panel.line(time, root * factor, cell.styles[label], title=label)
+        time, root = binned_floor(cell.curves[next(iter(found)), name])
+        if len(time):
+            panel.line(time, root * factor, FLOOR, title="the least possible")
     legend(canvas, room, [(label, cell.styles[label]) for label in labels])
     return canvas
 
