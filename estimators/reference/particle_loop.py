@@ -32,7 +32,7 @@ def particle_loop(estimator: GridParticles, model: DesignModel, inputs: Array, m
     measurements (K, ny), all received; random: that run's stream, drawn from in the estimator's portions.
     Returns mean (K, nx), parameter (K,) and the number of Kalman updates."""
     modes = grid_of(model, "the particle loop")
-    children, prior = estimator.family(modes)
+    children, prior = estimator.offspring(modes)
     n = estimator.first()
     edges = np.cumsum(modes.prior)[:-1]
     theta = np.searchsorted(edges, random.uniform(0.0, 1.0, n)[:, 0], side="right")
