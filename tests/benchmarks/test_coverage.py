@@ -73,7 +73,7 @@ def test_what_a_row_names_is_there(row: tuple[str, ...]) -> None:
             assert read_gain(given["gain"]).size
         if given["command"] == "plot":
             assert given["figure"] in {figure.name for figure in FIGURES}
-            assert set(names_in(given["quantity"])) <= known, words
+            assert set(names_in(given["quantities"])) <= known, words
 
 
 @pytest.mark.long
