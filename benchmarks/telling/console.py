@@ -28,8 +28,8 @@ from .wording import numeric
 
 WIDE, NARROWEST = 120, 40
 GAP = 2
-LEAST_TEXT = 16
-"""Columns that a column of text keeps at least when it is wrapped."""
+LEAST_TEXT, NAME = 16, 40
+"""Columns that a text keeps at least when it is wrapped; first columns up to this are names, and stay whole."""
 Advance = Callable[[int, str], None]
 """advance(count, what): so many more are done, the last of them of this."""
 Piece = tuple[str, str]
@@ -131,10 +131,10 @@ def print_columns(first: Column, rest: Sequence[Column], heading: str = "") -> N
 def _print_group(group: list[Column], width: int) -> None:
     widths = [column.least for column in group]
     room = width - sum(widths) - GAP * (len(group) - 1)
-    for place, column in enumerate(group):  # what is left goes to texts, from the left
-        more = min(max(room, 0), column.width - widths[place])
-        widths[place] += more
-        room -= more
+    while room > 0 and any(size < column.width for size, column in zip(widths, group, strict=True)):
+        place = max(range(len(group)), key=lambda i: group[i].width / widths[i])  # the most wrapped one gets it
+        widths[place] += 1
+        room -= 1
     if room < 0:  # one column alone is too wide
         widest = max(range(len(group)), key=lambda i: widths[i])
         widths[widest] = max(8, widths[widest] + room)
@@ -165,7 +165,7 @@ def _lines(cell: list[Piece], width: int) -> list[list[Piece]]:
     if sum(len(text) for text, _ in cell) <= width:
         return [cell]
     style = cell[0][1] if cell else ""
-    return [[(line, style)] for line in textwrap.wrap("".join(text for text, _ in cell), width)]
+    return [[(line, style)] for line in textwrap.wrap("".join(text for text, _ in cell), width, break_on_hyphens=False)]
 
 
 def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = ()) -> None:
@@ -174,8 +174,9 @@ def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = ()) -> N
     for name in frame.columns:
         values = ["" if pd.isna(value) else str(value) for value in frame[name]]
         right = numeric(values)
+        name_like = not made and max(map(len, values), default=0) <= NAME
         made.append(Column(str(name).split(" ") if right else [str(name)], [[(value, "")] for value in values], right,
-                           not right))
+                           not right and not name_like))
     if made:
         print_columns(made[0], made[1:], title)
     for note in notes:

@@ -17,7 +17,7 @@ from .markup import latex
 from .rankings import Cell, Ranking
 from .wording import counted, metric_name, number
 
-TEXT_WIDTH, LETTER, GAP, MOST_LINES = 340.0, 4.9, 12.0, 37
+TEXT_WIDTH, LETTER, GAP, MOST_LINES = 322.0, 4.9, 12.0, 37
 """Points of a column of text, of a \\small letter, between two columns; lines that a page holds."""
 
 
@@ -155,8 +155,10 @@ def to_tex(table: Grid, name: str) -> str:
     """LaTeX with booktabs: as many tables as the width and height of a page ask for. name: of the label."""
     heads = _short_names(table)
     first = max([len("ratio to best"), *(len(table.name(cell.key)) for cell in table.cells)])
-    widths = [max(len(head), *(len(text) for block in table.blocks for _, texts in _texts(table, block)
-                               for text, _ in [texts[i]]), 4) for i, head in enumerate(heads)]
+    alone = [sum(of == family for _, of in table.entries) == 1 for _, family in table.entries]
+    widths = [max(len(head), len(table.entries[i][1]) if alone[i] else 4, *(
+        len(texts[i][0]) for block in table.blocks for _, texts in _texts(table, block)))
+        for i, head in enumerate(heads)]
     parts: list[list[int]] = [[]]
     used = first * LETTER
     for i, width in enumerate(widths):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -79,6 +80,22 @@ def test_a_worse_estimator_is_told_and_by_how_much(others: Command) -> None:
     assert 1 < position["ratio_low"] < position["ratio"] < position["ratio_high"]
     assert position["won"] == (rows["shifted"] < rows["kalman"]).mean() < 0.5
     assert found["speed"].verdict == "tie" and found["speed"].b["ratio"] == 1
+
+
+def test_a_limit_is_exceeded_where_the_whole_interval_lies_beyond_it(others: Command) -> None:
+    ask = ("compare", "kalman", "shifted", *WITH, "--out", "out")
+    done = others(*ask, "--fail-on", "rmse:position>5%", "--json")
+    told = json.loads(done.out)
+    position = next(each for each in told["comparisons"] if each["b"]["quantity"] == "position")
+    assert done.code == 1 and position["b"]["ratio_low"] > 1.05 and position["verdict"] == "worse"
+    assert told["failed"][0].startswith("cart/calm: position rmse: shifted is worse than kalman")
+    beyond = 100 * (position["b"]["ratio_low"] - 1) + 1  # the ratio is larger, its interval is not
+    done = others(*ask, "--fail-on", f"rmse:position>{beyond:.2f}%,rmse:speed>5 %", "--quiet")
+    assert done.code == 0 and done.out == ""
+    done = others(*ask, "--fail-on", "rmse:height>5%")
+    assert done.code == 2 and "not among what is compared: rmse:position, rmse:speed" in done.err
+    done = others(*ask, "--fail-on", "much")
+    assert done.code == 2 and "expected worse, different, or METRIC:QUANTITY>PERCENT%" in done.err
 
 
 def test_the_other_way_round_it_is_better(others: Command) -> None:
