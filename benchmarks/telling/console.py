@@ -126,6 +126,7 @@ def print_columns(first: Column, rest: Sequence[Column], heading: str = "") -> N
         _print_group(group, width)
         if not waiting:
             break
+        print()
 
 
 def _print_group(group: list[Column], width: int) -> None:

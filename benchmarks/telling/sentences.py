@@ -126,6 +126,9 @@ def short_finding(cell: Cell, ranking: Ranking) -> str:
                                                                                     else ends[:1]))
     if lost:
         parts.append(f"lost {_lost(cell, lost)}")
+    if kind := floor_name(best):
+        parts.append(f"{kind} {_with_unit(number(best['floor'] * best['factor']), ranking.unit)}, best at "
+                     f"{percent(best['efficiency'])} of it")
     return f"{head}: {'; '.join(parts)}."
 
 

@@ -1,13 +1,14 @@
 """The verdict table of a cell on a terminal: entries by rows, per quantity sign, value, half interval and ratio.
 
-At 80 columns two quantities a table, more beneath it; wider outputs add the interval of the ratio and the step."""
+At 80 columns two quantities a table, more beneath it; wider outputs add the interval of the ratio, the step, and how
+near an entry comes to the floor."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .console import Column, Piece, columns, plain, print_columns, say, wrapped
+from .console import WIDE, Column, Piece, columns, plain, print_columns, say, wrapped
 from .marks import MARKS, Line, drawn, mark
 from .rankings import Cell, Ranking
 from .sentences import claims_of, requirements_of, short_finding, title_of
@@ -34,7 +35,7 @@ def print_cell(cell: Cell, about: str) -> None:
     for place, ranking in enumerate(cell.rankings):
         made.append(error_column(ranking, labels, wide))
         near = _column(["eff.", ranking.quantity], labels, lambda label, of=ranking: _near(of.line(label)))
-        made += [near] if near and wide else []
+        made += [near] if near and columns() >= WIDE else []
         if claims and place == min(1, len(cell.rankings) - 1):
             made.append(claims)  # beside the first two quantities
     if claims and not cell.rankings:

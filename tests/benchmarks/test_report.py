@@ -8,6 +8,7 @@ import io
 import itertools
 import json
 import re
+import time
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,7 +19,7 @@ import pytest
 from railstate.benchmarks.commands.report import report
 from railstate.benchmarks.judging.selection import Aligned
 from railstate.benchmarks.store.folder import Store
-from railstate.benchmarks.telling import sentences, wording
+from railstate.benchmarks.telling import console, sentences, wording
 from railstate.benchmarks.telling.figures.data import Results, load_results
 from railstate.benchmarks.telling.marks import ASCII, MARKS, drawn
 from railstate.benchmarks.telling.rankings import Cell
@@ -210,6 +211,20 @@ def test_lost_entries_have_no_value_and_the_command_is_there(results: Results, m
     print_results_json(Store(results.folder))
     told = json.loads(capsys.readouterr().out)
     assert told["rows"] == 936 and len(told["verdicts"]) == len(results.verdicts)
+
+
+def test_a_log_gets_a_line_a_minute_and_quiet_none(monkeypatch: pytest.MonkeyPatch,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(console, "MINUTE", 0.02)
+    for quiet in (False, True):
+        console.hush(quiet)
+        with console.progress(10, "rows") as advance:
+            advance(4, "cart/calm")
+            time.sleep(0.1)
+        told = capsys.readouterr().err.splitlines()
+        assert (told == []) == quiet
+        assert all(line.startswith("0 min: 4/10 rows, cart/calm, about 0 min left") for line in told)
+    console.hush(False)
 
 
 # -- the page ------------------------------------------------------------------------------------------------------
