@@ -107,7 +107,8 @@ class Riccati:
         self.longest = getattr(setting.config.channel, "longest", 0)
         self.parts = [(i, w * w, q, 1 / len(item.components) if item.mean else 1.0, 1 / len(item.components))
                       for q, item in enumerate(self.quantities) for i, w in item.components]
-        self.elements = sorted({part[0] for part in self.parts})
+        self.elements = np.array(sorted({part[0] for part in self.parts}), dtype=np.int64)
+        self.diagonal = self.elements * (self.model.nx + 1)
         self.covariance = np.array(self.model.initial_covariance, dtype=float, order="C")
         self.failed = np.zeros(self.runs, dtype=bool)
         self.truth = np.ascontiguousarray(self.model.initial_mean)
@@ -153,7 +154,7 @@ class Riccati:
             if mask is not None:
                 scored[k] = mask[self.elements]
         squares, total, counted = np.zeros((count, n, runs)), np.zeros((n, runs)), np.zeros((n, runs))
-        place = np.array([self.elements.index(part[0]) for part in self.parts])
+        place = np.searchsorted(self.elements, [part[0] for part in self.parts])
         weight, share, part_of = (np.array([part[i] for part in self.parts], dtype=float) for i in (1, 3, 4))
         mean = np.array([item.mean for item in self.quantities])
         _add_up(variance, active, scored, place, weight, np.array([part[2] for part in self.parts]), share, part_of,
@@ -232,13 +233,24 @@ class Riccati:
         if beyond is not None:
             p = p + np.diag(beyond)[:, :, None]
         if self.matched.outward is None:
-            self.variances.append(p[elements, elements])
+            self.variances.append(p.reshape(-1, p.shape[2])[self.diagonal])
         else:
-            t = self.matched.outward(step.truth)[elements]
-            self.variances.append(sum((t[:, a] * p[a, b] * t[:, b] for a in range(len(p)) for b in range(len(p))),
-                                      np.zeros(1)))
+            found = np.zeros((len(elements), self.runs))
+            _turned(self.matched.outward(step.truth), np.ascontiguousarray(p), elements, found)
+            self.variances.append(found)
         self.active.append(step.active)
         self.scored.append(step.scored)
+
+
+@kernel
+def _turned(t, p, elements, out):
+    """out (m, S) += the diagonal entries `elements` of t p t'. t (nt, nx, S), p (nx, nx, S or 1)."""
+    for place in range(elements.shape[0]):
+        i = elements[place]
+        for a in range(p.shape[0]):
+            for b in range(p.shape[1]):
+                for s in range(out.shape[1]):
+                    out[place, s] += t[i, a, s] * p[a, b, s if p.shape[2] > 1 else 0] * t[i, b, s]
 
 
 @kernel

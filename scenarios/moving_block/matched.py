@@ -5,6 +5,7 @@ A train cannot leave the track, so its place is one number; readings, counts and
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from ..arrays import Array
 from ..channels import OneAtATime
@@ -12,7 +13,7 @@ from ..measurement import Interval
 from ..model import DesignModel
 from ..setting import Matched
 from .config import MovingBlockConfig
-from .track import StadiumTrack
+from .track import StadiumTrack, place, project
 
 
 def matched(config: MovingBlockConfig, track: StadiumTrack, runs: int) -> Matched | None:
@@ -45,16 +46,14 @@ def matched(config: MovingBlockConfig, track: StadiumTrack, runs: int) -> Matche
         gone = (np.asarray(interval.start) - interval.depart * period) / period
         grown = (gone + interval.share) ** 2 - gone**2
         out = np.zeros((4, 4, u.shape[1]))
-        out[0, 0], out[2, 2] = (noise * slope(u)) ** 2 * grown
+        way = noise * slope(u)
+        out[0, 0], out[2, 2] = way * way * grown
         return out
 
     def outward(truth: Array) -> Array:
         """Along the track at each train's true place."""
         out = np.zeros((4, 4, truth.shape[1]))
-        for train in range(2):
-            x, y = truth[2 * train], truth[2 * train + 1]
-            _, _, heading = track.points(track.arc_lengths(x, y))
-            out[2 * train, 2 * train], out[2 * train + 1, 2 * train] = np.cos(heading), np.sin(heading)
+        _along(truth, track.half, track.radius, out)
         return out
 
     sd = np.array([config.sensors.start_sd, encoder.bias_sd] * 2)
@@ -65,3 +64,13 @@ def matched(config: MovingBlockConfig, track: StadiumTrack, runs: int) -> Matche
         measurement_covariance=lambda measurement: read, initial_mean=np.zeros((4, runs)),
         initial_covariance=np.diag(sd**2)[:, :, None])
     return Matched(model, "linear optimum", outward, np.array([lag, 0.0, lag, 0.0]))
+
+
+@njit(cache=True)
+def _along(truth, half, radius, out):
+    """out (4, 4, S), zero on entry: cos and sin of the heading at the place of each train, truth (4, S)."""
+    for train in range(2):
+        i = 2 * train
+        for run in range(truth.shape[1]):
+            _, _, out[i, i, run], out[i + 1, i, run] = place(project(truth[i, run], truth[i + 1, run], half, radius),
+                                                             half, radius)
