@@ -29,6 +29,7 @@ from .commands.sweep import sweep
 from .commands.table import table
 from .commands.timing import timing
 from .commands.tune import tune_
+from .commands.verify import verify_
 from .isolation.process import end_idle
 from .isolation.server import worded
 from .studies.complete import Interrupted
@@ -40,7 +41,7 @@ for function, name in (
         (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (tune_, "tune"),
         (design, "design"), (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"),
         (plot, "plot"), (table, "table"), (check, "check"), (inspect, "inspect"), (compare, "compare"),
-        (schema, "schema")):
+        (verify_, "verify"), (schema, "schema")):
     app.command(name)(function)
 app.add_typer(new, name="new")
 

@@ -44,7 +44,7 @@ def replay(
     if out:
         _same_source(plan, out, cell.key, label)
     machinery = Machinery(1, timeout=timeout, memory=gigabytes(memory))
-    again = apart(plan.task(cell, (label,), (int(number),)), machinery).to_pandas()
+    again = apart([plan.task(cell, (label,), (int(number),))], machinery).to_pandas()
     found = again.iloc[0]
     print(f"{row}: {found['status']}" + (f": {found['reason']}" if found["reason"] else ""))
     for column, metric, quantity, unit in metric_columns(again):

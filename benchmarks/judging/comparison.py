@@ -63,7 +63,7 @@ def between_folders(a: Store, b: Store) -> Changes:
         cell = f"{scenario}/{variant}"
         left, right = (part[part["side"] == side].set_index("run").sort_index() for side in "ab")
         common = left.index.intersection(right.index)
-        same = _same(left.loc[common], right.loc[common])
+        same = same_rows(left.loc[common], right.loc[common])
         alike.append(Alike(cell, str(label), len(common), int(same.sum()), len(left) - len(common),
                            len(right) - len(common)))
         if len(common) and not same.all():
@@ -119,7 +119,7 @@ def speed_ratio(a: pd.DataFrame | None, b: pd.DataFrame | None) -> dict[tuple[st
             zip(joined["scenario"], joined["variant"], joined["estimator"], ratio, strict=True) if np.isfinite(value)}
 
 
-def _same(a: pd.DataFrame, b: pd.DataFrame) -> np.ndarray:
+def same_rows(a: pd.DataFrame, b: pd.DataFrame) -> np.ndarray:
     """Which rows (same index) are equal in every bit that can be repeated. A column one side lacks is missing there."""
     columns = [name for name in {**dict.fromkeys(a.columns), **dict.fromkeys(b.columns)}
                if name not in (*UNREPEATABLE, "side")]

@@ -79,9 +79,9 @@ def run(plan: Plan, done: Mapping[tuple[str, str], set[int]], machinery: Machine
     yield from _isolated([*(tasks[number] for number in left), *strange], machinery)
 
 
-def apart(task: Task, machinery: Machinery) -> pa.Table:
-    """The rows of a task, whoever's, in a process of its own."""
-    return joined([result.rows for result in _isolated([task], machinery)])
+def apart(tasks: list[Task], machinery: Machinery) -> pa.Table:
+    """The rows of tasks, whoever's, in processes of their own."""
+    return joined([result.rows for result in _isolated(tasks, machinery)])
 
 
 def _own(task: Task) -> bool:

@@ -162,8 +162,7 @@ class Store:
             self.write_text("timing.csv", timing[stay].to_csv(index=False))
 
     def write_verdicts(self, table: pd.DataFrame) -> None:
-        """Write verdicts.parquet and verdicts.csv."""
-        self.write_text("verdicts.csv", table.to_csv(index=False))
+        """Write verdicts.parquet."""
         path = self.folder / "verdicts.parquet"
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         pq.write_table(pa.Table.from_pandas(table, preserve_index=False), temporary)

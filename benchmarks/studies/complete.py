@@ -6,9 +6,10 @@ import contextlib
 import hashlib
 import json
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -139,20 +140,28 @@ def _as_it_is(store: Store, plan: Plan) -> Store:
 
 
 def write_tables(store: Store, rows: pd.DataFrame) -> None:
-    """verdicts.parquet and .csv, summary.csv, tables/*.md and tables/*.tex, from the store's rows and timing alone."""
-    manifest = store.manifest()
-    table = verdicts(rows, manifest)
+    """verdicts.parquet and what `texts` gives, from the store's rows and timing alone."""
+    table = verdicts(rows, store.manifest())
     store.write_verdicts(table)
-    store.write_text("summary.csv", summary(table).to_csv(index=False))
-    for cell in cells_of(table, manifest, store.timing()):
+    for name, text in texts(table, rows, store.manifest(), store.timing()):
+        store.write_text(name, text)
+
+
+def texts(table: pd.DataFrame, rows: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.DataFrame | None
+          ) -> Iterator[tuple[str, str]]:
+    """(name, text) of the files that are made from rows and their verdicts: verdicts.csv, summary.csv, tables/*."""
+    yield "verdicts.csv", table.to_csv(index=False)
+    yield "summary.csv", summary(table).to_csv(index=False)
+    for cell in cells_of(table, manifest, timing):
         notes = [caption(cell), *notes_of(cell.about["variants"][cell.variant])]
-        frame, stem = cell_table(cell), f"tables/{cell.scenario}~{cell.variant}"
-        store.write_text(f"{stem}.md", to_markdown(cell.key, frame, notes))
-        store.write_text(f"{stem}.tex", to_latex(cell.key, frame, notes))
+        yield from _both(f"{cell.scenario}~{cell.variant}", cell.key, cell_table(cell), notes)
     for key, frame in outage_tables(rows):
-        store.write_text(f"tables/{key.replace('/', '~')}~outages.csv", frame.to_csv(index=False))
+        yield f"tables/{key.replace('/', '~')}~outages.csv", frame.to_csv(index=False)
     for title, frame in window_tables(table, manifest):
         cell, _, what = title.partition(": ")
-        stem = f"tables/{cell.replace('/', '~')}~{what.split()[2]}"
-        store.write_text(f"{stem}.md", to_markdown(title, frame, []))
-        store.write_text(f"{stem}.tex", to_latex(title, frame, []))
+        yield from _both(f"{cell.replace('/', '~')}~{what.split()[2]}", title, frame, [])
+
+
+def _both(stem: str, title: str, frame: pd.DataFrame, notes: Sequence[str]) -> Iterator[tuple[str, str]]:
+    yield f"tables/{stem}.md", to_markdown(title, frame, notes)
+    yield f"tables/{stem}.tex", to_latex(title, frame, notes)

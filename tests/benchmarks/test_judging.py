@@ -292,7 +292,8 @@ def test_what_a_channel_takes_the_ground_from_is_not_certified(rng: np.random.Ge
     frame = rows({label: np.ones(60) for label in labels}, nees__state__1=nees,
                  nees_states={label: np.ones(60) for label in labels})
     for reasons, certain in (({}, {*labels}), ({"as-new": "late"}, {"draws", "filter"}),
-                             ({"guarantee": "turns"}, {"fresh", "filter"}), ({"covariance": "old"}, {"fresh", "draws"})):
+                             ({"guarantee": "turns"}, {"fresh", "filter"}),
+                             ({"covariance": "old"}, {"fresh", "draws"})):
         about["scenarios"]["s"]["variants"]["v"] = {"uncertified": reasons}
         found = verdicts(frame, about)
         found = found[found["kind"] == "consistency"].set_index("estimator")
