@@ -13,16 +13,6 @@ TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "
 """Columns of timing.csv."""
 
 
-INNOVATION = {
-    "nis:innovation:1": "mean normalised innovation squared per element received; 1 is right",
-    "elements:innovation:1": "elements received: n of the interval chi2(n) / n of the mean NIS",
-    "whiteness:innovation:1": "lag-1 autocorrelation of each element's standardised innovations; 0 is right",
-    "pairs:innovation:1": "pairs of consecutive innovations: n of the interval +-1.96 / sqrt(n) of the whiteness",
-    "log-likelihood:innovation:1": "mean log p(element received | what came before) per element; more is better",
-}
-"""Columns that need no truth, and what they hold (`innovations.py`)."""
-
-
 def metric_columns(rows: pd.DataFrame) -> list[tuple[str, str, str, str]]:
     """(column, metric, quantity, unit) of the metric columns `metric:quantity:unit`."""
     return [(name, *parts) for name in rows.columns if len(parts := name.split(":")) == 3]  # pyright: ignore

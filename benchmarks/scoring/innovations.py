@@ -4,37 +4,12 @@ Estimators hand innovations out in turn (uncorrelated), so nothing here forms or
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from scipy.special import gammaincinv
 
 from ...estimators.interface import Innovation
 from ...estimators.kernels.core import HALF_LOG_TURN, kernel
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.measurement import Measurement
-
-Z = 1.959963984540054
-"""97.5 % quantile of the standard normal distribution."""
-
-
-class Span(NamedTuple):
-    """A two-sided interval."""
-
-    low: float
-    high: float
-
-
-def nis_interval(elements: float, level: float = 0.95) -> Span:
-    """Where the mean NIS per element lies with this probability if the filter is right: chi-square of so many degrees
-    of freedom, over their number (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
-    low, high = (2 * float(gammaincinv(elements / 2, share)) / elements for share in ((1 - level) / 2, (1 + level) / 2))
-    return Span(low, high)
-
-
-def whiteness_interval(pairs: float) -> Span:
-    """Where the lag-1 autocorrelation of that many pairs of white innovations lies with 95 % probability."""
-    return Span(-Z / float(np.sqrt(pairs)), Z / float(np.sqrt(pairs)))
 
 
 class InnovationScore:

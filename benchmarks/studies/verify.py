@@ -1,4 +1,4 @@
-"""A stranger's results folder, checked: its tables made anew from its rows, and a drawn sample of its rows computed anew.
+"""A stranger's results folder, checked: its tables made anew from its rows, a drawn sample of its rows computed anew.
 
 Nothing that the folder holds is run: estimators are the suite's own, or plug-ins that are given and have the stored
 source hash."""

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from railstate.benchmarks.running.loop import Loop, Observer
-from railstate.benchmarks.scoring.innovations import InnovationScore, nis_interval, whiteness_interval
+from railstate.benchmarks.scoring.innovations import InnovationScore
 from railstate.estimators.interface import Estimate, Estimator, Innovation
 from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.measurement import Interval, Measurement, told
 from railstate.scenarios.model import DesignModel, Linear
 from railstate.scenarios.world import Event, Step, Trajectory
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from .. import models
 from ..models import heard, part, whole
@@ -269,8 +269,8 @@ def test_nis_of_a_matched_filter_lies_in_its_interval() -> None:
         assert innovation is not None
         score.add(k, np.ones(runs, dtype=bool), measurement, innovation)
     said = score.finish()
-    for name, size, interval in (("nis", "elements", nis_interval), ("whiteness", "pairs", whiteness_interval)):
-        values, sizes = said[name, "innovation"], said[size, "innovation"]
-        spans = {n: interval(n) for n in np.unique(sizes)}
-        inside = [spans[n].low <= value <= spans[n].high for value, n in zip(values, sizes, strict=True)]
-        assert np.mean(inside) == pytest.approx(0.95, abs=0.01), name
+    n, nis = said["elements", "innovation"], said["nis", "innovation"]
+    low, high = (chi2.ppf(share, n) / n for share in (0.025, 0.975))  # Bar-Shalom, Li, Kirubarajan, section 5.4
+    assert np.mean((low <= nis) & (nis <= high)) == pytest.approx(0.95, abs=0.01)
+    pairs, whiteness = said["pairs", "innovation"], said["whiteness", "innovation"]
+    assert np.mean(np.abs(whiteness) <= 1.96 / np.sqrt(pairs)) == pytest.approx(0.95, abs=0.01)
