@@ -24,7 +24,7 @@ INDEFINITE = 1e-9
 @kernel
 def tile_width(n, runs):
     """How many runs to take at a time: a few (n, n, width) arrays stay in the cache, and whole vectors fit."""
-    return max(1, min(runs, max(64, 512 // max(n, 1) // 32 * 32)))
+    return max(1, min(runs, max(64, 1024 // max(n, 1) // 32 * 32)))
 
 
 @kernel

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal, norm
 
 Array = NDArray[np.float64]
 SIZES = [1, 2, 3, 7]
-RUNS = 150  # more than one tile at any size
+RUNS = 150  # more than one tile at seven states
 
 
 def draw(*shape: int) -> Array:
