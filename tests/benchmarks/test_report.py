@@ -213,6 +213,18 @@ def test_lost_entries_have_no_value_and_the_command_is_there(results: Results, m
     assert told["rows"] == 936 and len(told["verdicts"]) == len(results.verdicts)
 
 
+def test_any_table_is_stacked_or_wrapped_at_the_outputs_width(monkeypatch: pytest.MonkeyPatch,
+                                                               capsys: pytest.CaptureFixture[str]) -> None:
+    frame = pd.DataFrame([{"estimator": f"an-entry-{i}", "about": "words " * 40,
+                           **{f"metric {k}": f"{k}.{i}" for k in range(12)}} for i in (1, 2)])
+    monkeypatch.setenv("COLUMNS", "80")
+    console.print_table("A title", frame, ["A note of many words. " * 8])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("an-entry-1 ") for line in lines) > 1 and sum("11.2" in line for line in lines) == 1
+    assert " ".join(lines).count("words") == 2 * 40 + 8
+
+
 def test_a_log_gets_a_line_a_minute_and_quiet_none(monkeypatch: pytest.MonkeyPatch,
                                                    capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(console, "MINUTE", 0.02)
@@ -347,6 +359,8 @@ def test_published_numbers_stand_by_readings_with_their_notes_once() -> None:
                                  "stands": "printed", "why": "", "readings": {"printed": "as printed", "mended": "m"},
                                  "groups": [{"group": "Table 1", "note": "n", "cells": cells}]}]})
     assert paper.counts == [("fitted", 1), ("unreachable", 1)]
+    with pytest.raises(InputError, match=r"not as railstate reproduce writes them"):
+        papers({"papers": [{"name": "p"}]})
     assert sentence([paper]) == "Of 2 published numbers: 1 fitted, 1 unreachable."
     assert paper.table.notes == ["printed: as printed.", "mended: m.", "1: n"]
     (name, entries), (_, second) = paper.table.lines

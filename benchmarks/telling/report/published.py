@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from ....scenarios.errors import InputError
 from ..marks import MARKS
 from ..wording import number, split_error
 from .sections import Entry, Table, chip
@@ -32,8 +33,12 @@ class Paper(NamedTuple):
 
 
 def papers(document: Mapping[str, Any]) -> list[Paper]:
-    """The papers of a published.json."""
-    return [_paper(paper) for paper in document["papers"]]
+    """The papers of a published.json. Raises InputError where it is none."""
+    try:
+        return [_paper(paper) for paper in document["papers"]]
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"published numbers: not as railstate reproduce writes them into published.json: "
+                         f"{type(error).__name__}: {error}") from None
 
 
 def sentence(found: list[Paper]) -> str:
