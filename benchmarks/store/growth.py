@@ -100,14 +100,21 @@ def _merged(there: Mapping[str, Any], now: Mapping[str, Any], stale: Mapping[tup
     for name, about in now["scenarios"].items():
         before = there["scenarios"].get(name, {"variants": {}})["variants"]
         scenarios[name] = {**about, "variants": {**before, **{
-            variant: {**{key: before[variant][key] for key in ("until", "level") if key in before.get(variant, {})},
-                      **facts} for variant, facts in about["variants"].items()}}}
+            variant: {**{key: before[variant][key] for key in ("until", "level") if key in before.get(variant, {})
+                         and _as_long(there["configuration"]["cells"], cells, f"{name}/{variant}")}, **facts}
+            for variant, facts in about["variants"].items()}}}
     return {
         "configuration": {**now["configuration"], "cells": cells, "runs": max(cell["runs"] for cell in cells.values())},
         "scenarios": {**there["scenarios"], **scenarios},
         "estimators": {**there["estimators"], **now["estimators"]},
         "replay": {"plugins": list(dict.fromkeys([*there["replay"]["plugins"], *now["replay"]["plugins"]])),
                    "cells": stored}}
+
+
+def _as_long(there: Mapping[str, Any], now: Mapping[str, Any], key: str) -> bool:
+    """Whether a cell has the runs and the entries that it had: else why it was stopped says nothing any more."""
+    return key in there and there[key]["runs"] == now[key]["runs"] and there[key]["estimators"].keys() == now[key][
+        "estimators"].keys()
 
 
 def _differing(there: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
