@@ -98,7 +98,9 @@ def finding(cell: Cell, ranking: Ranking) -> str:
             found := deciding(line)) else ")") for line in open_[:2]]
         rest = names(open_[2:])
         parts.append(f"Undecided: {', '.join(shown)}{', ' + some(rest) if rest else ''}.")
-    if worse:
+    if worse and best["value"] == 0:
+        parts.append(f"Worse: {len(worse)} of {len(ranking.ranked)}, than no error at all: {some(names(worse))}.")
+    elif worse:
         ends = [f"{line['estimator']} ({change_interval(line)})" for line in (worse[0], worse[-1])]
         parts.append(f"Worse: {len(worse)} of {len(ranking.ranked)}, "
                      + (f"from {ends[0]} to {ends[1]}." if len(worse) > 1 else f"{ends[0]}."))
@@ -120,7 +122,9 @@ def short_finding(cell: Cell, ranking: Ranking) -> str:
     if open_:
         first = f"{open_[0]['estimator']} ({', '.join(filter(None, [change(open_[0]), deciding(open_[0])]))})"
         parts.append("undecided " + ", ".join([first, *filter(None, [some(names(open_[1:]))])]))
-    if worse:
+    if worse and best["value"] == 0:
+        parts.append(f"worse {len(worse)} of {len(ranking.ranked)}, than no error at all: {some(names(worse))}")
+    elif worse:
         ends = [f"{line['estimator']} {change(line)}" for line in (worse[0], worse[-1])]
         parts.append(f"worse {len(worse)} of {len(ranking.ranked)}, " + " to ".join(ends if len(worse) > 1
                                                                                     else ends[:1]))

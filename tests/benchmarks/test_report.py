@@ -22,7 +22,7 @@ from railstate.benchmarks.store.folder import Store
 from railstate.benchmarks.telling import console, sentences, wording
 from railstate.benchmarks.telling.figures.data import Results, load_results
 from railstate.benchmarks.telling.marks import ASCII, MARKS, drawn
-from railstate.benchmarks.telling.rankings import Cell
+from railstate.benchmarks.telling.rankings import Cell, Ranking
 from railstate.benchmarks.telling.report import write_report
 from railstate.benchmarks.telling.report.matrix import anchor, matrix
 from railstate.benchmarks.telling.report.published import papers, sentence
@@ -115,6 +115,17 @@ def test_claims_and_lost_runs_are_said(results: Results) -> None:
     said = sentences.finding(table3, table3.rankings[0])
     assert "Lost runs: fastest-decay 24 of 24; ranked after every entry" in said
     assert "exceeds its certified bound: 1." in sentences.claims_of(cell_of(results, "cbtc-csma/uniform"))
+
+
+def test_who_is_worse_than_no_error_has_no_ratio(results: Results) -> None:
+    cell = cell_of(results, "ningbo-metro/switching")
+    lines = [dict(item, value=0.0, low=0.0, high=0.0) if item["verdict"] == "best" else
+             dict(item, ratio=np.inf, ratio_low=np.inf, ratio_high=np.inf, verdict="worse")
+             for item in cell.rankings[0].lines]
+    exact = Ranking.of(lines)
+    assert sentences.finding(cell, exact).startswith("Position: least RMSE 0 m (ekf, 24 runs). Worse: 5 of 6, than no "
+                                                     "error at all: ukf,")
+    assert "∞" not in sentences.finding(cell, exact) + sentences.short_finding(cell, exact)
 
 
 def line(ratio: float, low: float = np.nan, high: float = np.nan, **facts: object) -> dict[str, object]:

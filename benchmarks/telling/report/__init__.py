@@ -1,6 +1,7 @@
 """The report: one self-contained HTML page made from a results folder alone.
 
-`page.py` assembles it, `table.py` makes its tables, `page.jinja`, `page.css` and `page.js` are its looks."""
+`page.py` assembles it from the overview (`matrix.py`), sections with plots and tables, and published numbers;
+`page.jinja`, `page.css` and `page.js` are its looks."""
 
 from .page import write_report
 

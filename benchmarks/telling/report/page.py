@@ -111,8 +111,9 @@ def facts(results: Results) -> list[tuple[str, str]]:
          f"would is never the best. A covariance claim is consistent where the ANEES' interval lies within 1 ± "
          f"{TOLERANCE:g}; beside it stand the median over the steps (1 is right) and the share of steps inside the "
          "95 % ellipsoid."),
-        ("Verify", f"railstate replay SETTING/ENTRY/RUN --out {results.folder} computes one row again; railstate "
-         f"compare {results.folder} OTHER tells bit for bit what differs from another folder."),
+        ("Verify", f"railstate verify {results.folder} makes the tables anew from the rows, and a sample of the rows; "
+         f"railstate replay SETTING/ENTRY/RUN --out {results.folder} computes one; railstate compare {results.folder} "
+         "OTHER tells what differs from another folder, to the bit."),
     ]
 
 

@@ -71,7 +71,7 @@ def _values(ranking: Ranking, lines: Sequence[Line], height: int) -> str:
             continue
         text = value_of(line) + (f" of {line['runs']}" if line["lost"] else "")
         out.append(f'<text class="e" x="{LEFT_WIDTH}" y="{y + 4:g}">{text}</text>')
-        if drawn(line) == "lost":
+        if drawn(line) == "lost" or (scale.log and not line["value"] > 0):
             continue
         at = [left + float(scale.share(line[name] * line["factor"])) * (right - left - 6) for name in
               ("value", "low", "high")]
@@ -105,7 +105,7 @@ def _ratios(ranking: Ranking, lines: Sequence[Line], height: int) -> str:
             else:
                 out.append(_marker(line, x(line["ratio"]), x(line["ratio_low"]), x(min(line["ratio_high"], FAR)), y))
         elif drawn(line) == "lost":
-            out.append(f'<text class="w" x="4" y="{y + 4:g}">✕ {line["lost"]} lost</text>')
+            out.append(f'<text class="w" x="{right + 4:g}" y="{y + 4:g}">{line["lost"]} lost</text>')
     return "".join(out)
 
 
