@@ -40,6 +40,7 @@ MARKS = {
     "met": Mark("✓", "ok", "met", "tie"),
     "not met": Mark("✗", "x", "not met", "w2", "yellow"),
     "white": Mark("✓", "ok", "white", "tie"),
+    "not certified": Mark("–", "-", "not certified", "outline"),
     "coloured": Mark("✗", "x", "coloured", "w1"),
     # published numbers
     "reproduced": Mark("✓", "ok", "reproduced", "tie"),

@@ -56,11 +56,12 @@ def over_all(cells: Sequence[Cell], runs: int) -> list[str]:
              f"{'is' if n['undecided'] == 1 else 'are'} undecided"
              + (f"; {n['lost']} lost runs" if n["lost"] else "") + ".")
     second = f"Lost runs: {n['lost runs']:,} of {n['rows']:,}."
-    claims = {word: n[f"claim {word}"] for word in ("too sure", "too cautious", "consistent", "undecided")}
+    claims = {word: n[f"claim {word}"] for word in ("too sure", "too cautious", "consistent", "undecided",
+                                                    "not certified")}
     if sum(claims.values()):
         second += (f" Of {counted(sum(claims.values()), 'covariance claim')} {claims['too sure']} are too sure, "
                    f"{claims['too cautious']} too unsure, {claims['consistent']} consistent, {claims['undecided']} "
-                   "undecided.")
+                   f"undecided{f', {loose} not certified' if (loose := claims['not certified']) else ''}.")
     return [first, second]
 
 

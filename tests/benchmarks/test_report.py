@@ -339,6 +339,10 @@ def test_errors_claims_outcomes_and_lost_runs_of_a_table(results: Results) -> No
     assert entry(uniform, "kalman", "late violations").html == "6 of 24"
     assert entry(uniform, "direct", "lost").html == "1"
     assert "of 23" in str(entry(uniform, "direct", "position value").html)
+    loose = replace(metro, lines=tuple(dict(item, verdict="not certified") if item["kind"] == "consistency" else item
+                                       for item in metro.lines))
+    assert "– not certified 1.0" in str(entry(loose, "ekf", "claim").html)
+    assert "undecided, 4 not certified." in sentences.over_all([loose], 24)[1]
     braking = cell_of(results, "braking-rate/paper")
     assert "○ oracle" in str(entry(braking, "kalman-known-f", "f verdict").html)
     assert braking.labels[-1] == "kalman-known-f"

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from ..figures.canvas import Canvas
 from ..figures.catalogue import FIGURES, Figure, of_scenario
 from ..figures.data import CellResults, Results
-from ..marks import MARKS, Line, drawn, shade
+from ..marks import MARKS, Line, Mark, drawn, shade
 from ..rankings import Cell
 from ..sentences import caption, claims_of, finding, floor_name, least, over_variants, requirements_of
 from ..wording import (
@@ -91,7 +91,7 @@ class Section:
 
 def chip(word: str, text: str, css: str = "") -> Markup:
     """A verdict with its sign."""
-    found = MARKS[word]
+    found = MARKS.get(word, Mark("", "", word, "outline"))
     return Markup('<span class="c {}">{} {}</span>').format(css or found.css, found.sign, text)
 
 
