@@ -129,6 +129,8 @@ def caption(table: Grid) -> list[str]:
         parts.append("Italic: runs that finished of those run; lost more than equals would.")
     if "oracle" in words:
         parts.append("In brackets: told what the others estimate, not ranked.")
+    if any(label in cell.smoothers for cell in table.cells for label in table.labels):
+        parts.append("Smoothers are ranked among themselves.")
     halves = [(line["high"] - line["low"]) / 2 / line["value"] for block in table.blocks
               for ranking in block.rankings.values() for label in table.labels
               if (line := ranking.line(label)) and line["runs"] and line["value"] > 0 and np.isfinite(line["high"])]

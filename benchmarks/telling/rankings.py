@@ -4,7 +4,7 @@ Nothing is judged here, and no number is made: lines of the verdict table are fo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -31,10 +31,12 @@ class Ranking:
     finished, oracles last. Smoothers, which are ranked among themselves, after the filters."""
 
     lines: tuple[Line, ...]
+    first: str
 
     @classmethod
-    def of(cls, lines: Sequence[Line]) -> Ranking:
-        best = next((line["estimator"] for line in lines if line["verdict"] == "best"), "")
+    def of(cls, lines: Sequence[Line], smoothers: Collection[str] = ()) -> Ranking:
+        best = next((line["estimator"] for line in sorted(lines, key=lambda line: line["estimator"] in smoothers)
+                     if line["verdict"] == "best"), "")
         places = {id(line): place for place, line in enumerate(lines)}
 
         def order(line: Line) -> tuple[Any, ...]:
@@ -45,7 +47,7 @@ class Ranking:
             return apart, line["against"] not in (best, ""), ratio if not apart else value, word != "best", value, \
                 places[id(line)]
 
-        return cls(tuple(sorted(lines, key=order)))
+        return cls(tuple(sorted(lines, key=order)), best)
 
     @property
     def metric(self) -> str:
@@ -66,7 +68,12 @@ class Ranking:
 
     @cached_property
     def best(self) -> Line | None:
-        return next((line for line in self.lines if line["verdict"] == "best"), None)
+        return self.line(self.first)
+
+    @cached_property
+    def smoothed(self) -> Line | None:
+        """The best of the smoothers, where there are any beside filters."""
+        return next((line for line in self.lines if line["verdict"] == "best" and line is not self.best), None)
 
     @cached_property
     def ranked(self) -> list[Line]:
@@ -94,6 +101,7 @@ class Cell:
     entries: Mapping[str, Mapping[str, Any]]
     origin: Mapping[str, str]
     families: Mapping[str, str]
+    smoothers: frozenset[str]
     timing: Mapping[str, Mapping[str, float]]
 
     @property
@@ -122,7 +130,7 @@ class Cell:
         groups: dict[tuple[str, str], list[Line]] = {}
         for line in self.of("error"):
             groups.setdefault((line["metric"], line["quantity"]), []).append(line)
-        return [Ranking.of(lines) for lines in groups.values()]
+        return [Ranking.of(lines, self.smoothers) for lines in groups.values()]
 
     @cached_property
     def labels(self) -> list[str]:
@@ -203,4 +211,6 @@ def cells_of(table: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.DataFr
                        saved["table"].get("origin", {}),
                        {label: manifest["estimators"][plugin].get("family") or "Other" for label, plugin
                         in plugins.items() if plugin in manifest["estimators"]},
+                       frozenset(label for label, plugin in plugins.items()
+                                 if manifest["estimators"].get(plugin, {}).get("smoother")),
                        times.get((scenario, variant), {}))

@@ -107,7 +107,7 @@ def finding(cell: Cell, ranking: Ranking) -> str:
                      + (f"from {ends[0]} to {ends[1]}." if len(worse) > 1 else f"{ends[0]}."))
     if lost:
         parts.append(f"Lost runs: {_lost(cell, lost)}; ranked after every entry that finished.")
-    return " ".join([*parts, *_floor(ranking)])
+    return " ".join([*parts, *_floor(ranking), *_smoothed(ranking)])
 
 
 def short_finding(cell: Cell, ranking: Ranking) -> str:
@@ -134,6 +134,8 @@ def short_finding(cell: Cell, ranking: Ranking) -> str:
     if kind := floor_name(best):
         parts.append(f"{kind} {_with_unit(number(best['floor'] * best['factor']), ranking.unit)}, best at "
                      f"{percent(best['efficiency'])} of it")
+    if ranking.smoothed:
+        parts.append(f"of the smoothers {ranking.smoothed['estimator']}")
     return f"{head}: {'; '.join(parts)}."
 
 
@@ -242,6 +244,13 @@ def _floor(ranking: Ranking) -> list[str]:
              " (its interval covers it)" if best["low"] <= best["floor"] <= best["high"] else "")
     return [f"{capital(kind)} {_with_unit(number(best['floor'] * best['factor']), ranking.unit)}: {best['estimator']} "
             f"reaches {percent(best['efficiency'])}{aside}."]
+
+
+def _smoothed(ranking: Ranking) -> list[str]:
+    """The least error of the smoothers, who answer another question."""
+    line = ranking.smoothed
+    return [] if line is None else [f"Smoothers, ranked among themselves: least "
+                                    f"{_with_unit(plus_minus(line), ranking.unit)} ({line['estimator']})."]
 
 
 def title_of(ranking: Ranking) -> str:

@@ -128,6 +128,17 @@ def test_who_is_worse_than_no_error_has_no_ratio(results: Results) -> None:
     assert "∞" not in sentences.finding(cell, exact) + sentences.short_finding(cell, exact)
 
 
+def test_smoothers_are_told_apart_from_filters(results: Results) -> None:
+    cell = cell_of(results, "ningbo-metro/switching")
+    apart = [dict(item, estimator=f"s-{item['estimator']}", against="s-ekf", value=item["value"] / 2)
+             for item in cell.rankings[0].lines if item["estimator"] in ("ekf", "ukf")]
+    both = Ranking.of([*apart, *cell.rankings[0].lines], {"s-ekf", "s-ukf"})
+    assert both.best and both.best["estimator"] == "ekf" and len(both.ranked) == 6
+    said = sentences.finding(cell, both)
+    assert said.startswith(sentences.finding(cell, cell.rankings[0]))
+    assert re.search(r"Smoothers, ranked among themselves: least 0\.0\d+ ± 0\.0\d+ m \(s-ekf\)\.$", said)
+
+
 def line(ratio: float, low: float = np.nan, high: float = np.nan, **facts: object) -> dict[str, object]:
     return {"ratio": ratio, "ratio_low": low, "ratio_high": high, "verdict": "worse", **facts}
 

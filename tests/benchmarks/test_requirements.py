@@ -214,6 +214,7 @@ def test_requirements_are_judged_with_their_sizes_beside() -> None:
     rows.loc[lost, "status"] = "diverged"
     again = verdicts(rows)
     assert again["good"]["verdict"] == "not met" and again["good"]["value"] == pytest.approx(0.7)
-    told = rankings.Cell("s", "v", tuple(rankings.records(framed(list(found.values())))), about, {}, {}, {}, {})
+    told = rankings.Cell("s", "v", tuple(rankings.records(framed(list(found.values())))), about, {}, {}, {},
+                         frozenset(), {})
     assert requirements_of(told) == ["Requirement near, in 95 % of the runs: met by good; not met by bad; undecided "
                                      "for open."]
