@@ -27,19 +27,19 @@ class Mailbox:
 
     def __init__(self, policy: str) -> None:
         self.policy = policy
-        self._waiting: dict[int, list[Measurement]] = {}
+        self.waiting: dict[int, list[Measurement]] = {}
 
     def post(self, event: Event, step: int, number: int, time: PerRun) -> None:
         """Keep what an event of a step sends late, by the step in which it arrives."""
         if event.late is None or self.policy == "drop":
             return
         for age in np.unique(event.late[event.late > 0]).tolist():
-            self._waiting.setdefault(step + age, []).append(
+            self.waiting.setdefault(step + age, []).append(
                 Measurement(event.y, event.late == age, step, number, time, event.covariance))
 
     def due(self, step: int, number: int, time: PerRun, listens: Mask | None) -> Iterator[Measurement]:
         """What arrives with the last event of a step, oldest stamp first; runs that do not listen hear nothing."""
-        arriving = self._waiting.pop(step, [])
+        arriving = self.waiting.pop(step, [])
         for packet in sorted(arriving, key=lambda found: (found.step, found.event)):
             received = packet.received if listens is None else packet.received & listens
             if not received.any():

@@ -11,12 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array, Index, Mask
+from .arrays import Array, Index, Mask, read_only
 from .errors import InputError
 from .measurement import PerRun
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Event:
     """One prediction and one measurement inside a step.
 
@@ -38,7 +38,7 @@ FIRST_EDITION = -1
 """The number of a step that was made without one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Step:
     """What happens on the way to one scored instant.
 
@@ -161,6 +161,10 @@ class Trajectory:
         if portions is not None or len(self.lengths) != len(self.truth):
             raise InputError("a Trajectory takes lengths (K,), the length of each interval in seconds; portions, in "
                              "sampling periods, are of railstate's first edition: write lengths=portions * period")
+        for name in ("u", "y", "received", "covariance"):  # what estimators are handed, step by step
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, read_only(value))
 
     @cached_property
     def _clock(self) -> tuple[list[float], list[float]]:

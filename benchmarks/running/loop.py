@@ -125,22 +125,27 @@ class Loop:
     def _cut(self, estimate: Estimate) -> Estimate:
         return estimate if self.own is None or len(estimate.mean) <= self.own else cut(estimate, self.own)
 
-    def _arriving(self, step: Step, number: int, gone: PerRun, listens: Mask | None) -> Iterator[Measurement]:
+    def _arriving(self, step: Step, number: int, gone: PerRun, listens: Mask | None) -> list[Measurement]:
         """The measurements that are there at an event of a step: its own, and with the last one what comes late. Runs
         that have ended hear nothing."""
         event, time = step.events[number], step.start + gone * step.length
         received = event.received if listens is None else event.received & listens
         if self.estimator.told_faults and event.faulty is not None:
             received = received & ~event.faulty
-        self.mailbox.post(event, step.number, number, time)
+        if event.late is not None:
+            self.mailbox.post(event, step.number, number, time)
+        found = []
         if self.idle or received.any():
-            yield _handed(Measurement(event.y, received, step.number, number, time, event.covariance))
-        if number == len(step.events) - 1:
-            yield from map(_handed, self.mailbox.due(step.number, number, time, listens))
+            covariance = event.covariance
+            found.append(Measurement(read_only(event.y), read_only(received), step.number, number, time,
+                                     None if covariance is None else read_only(covariance)))
+        if self.mailbox.waiting and number == len(step.events) - 1:
+            found += map(_handed, self.mailbox.due(step.number, number, time, listens))
+        return found
 
 
 def _handed(measurement: Measurement) -> Measurement:
-    """A measurement to be read."""
+    """A late measurement, to be read."""
     y, received, step, event, time, covariance = measurement
     return Measurement(read_only(y), read_only(received), step, event, time,
                        None if covariance is None else read_only(covariance))
