@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 a check failed, 2 the input is wrong, 130 interrupted."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -66,9 +67,16 @@ def main() -> None:
 
     warnings.showwarning = warn
     kept: Sequence[int] = ()
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed: nobody reads it, the work is done all the same
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
     try:
         kept = _end_on_sigterm()
         app()
+    except SystemExit as ended:
+        if ended.code == 1 and type(sys.stdout).__name__ == "PacifyFlushWrapper":  # the reader has gone (`| head`)
+            raise SystemExit(141) from None
+        raise
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

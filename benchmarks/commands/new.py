@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ast
 import keyword
 import re
 import sys
@@ -80,9 +81,27 @@ def _write(kind: str, layout: dict[str, str], name: str, taken: set[str], under:
         raise InputError(f"{folder}: exists already; choose another name or another folder (--in FOLDER)")
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
     words = {"name": name, "module": module, "cls": "".join(part.capitalize() for part in name.split("-"))}
+    made: dict[Path, str] = {}
     for template, place in layout.items():
         text = (files("railstate.benchmarks.templates") / f"{kind}_{template}.jinja").read_text(encoding="utf-8")
-        path = folder / place.format(**words)
+        made[folder / place.format(**words)] = environment.from_string(text).render(words)
+    for path, text in made.items():
+        if path.suffix == ".py" and _unsound(text):
+            raise InputError(f"{name}: not a name for {kind}s: the class {words['cls']} would be no Python, or hide "
+                             "one that it needs; choose another, such as my-filter")
+    for path, text in made.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(environment.from_string(text).render(words), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     return folder
+
+
+def _unsound(text: str) -> bool:
+    """Whether a module does not compile, or gives a name twice at its top: an import that a class hides."""
+    try:
+        body = ast.parse(text).body
+    except SyntaxError:
+        return True
+    names = [alias.asname or alias.name for part in body if isinstance(part, ast.Import | ast.ImportFrom)
+             for alias in part.names]
+    names += [part.name for part in body if isinstance(part, ast.ClassDef | ast.FunctionDef)]
+    return len(names) > len(set(names))
