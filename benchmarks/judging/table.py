@@ -52,7 +52,7 @@ def verdicts_of(store: Store) -> pd.DataFrame:
 def framed(lines: Sequence[Line]) -> pd.DataFrame:
     """Lines as a table of `VERDICT_COLUMNS`; numbers that a line lacks are NaN, texts empty."""
     table = pd.DataFrame(list(lines), columns=list(VERDICT_COLUMNS))
-    table[list(TEXTS)] = table[list(TEXTS)].astype(object).fillna("")
+    table[list(TEXTS)] = table[list(TEXTS)].astype(object).fillna("").astype(str)
     table["eligible"] = table["eligible"].ne(False)  # missing: nothing speaks against it
     for name in ("runs", "lost", "family"):
         table[name] = table[name].fillna(0).astype(int)
