@@ -81,15 +81,8 @@ class SigmaPointKalman(Estimator):
             self._propagated = moved
 
     def update(self, measurement: Measurement) -> Innovation | None:
-        model, (y, received, at, *_) = self.model, measurement
-        assert model.measurement_covariance is not None
-        r = np.ascontiguousarray(model.measurement_covariance(measurement))
-        if self._linear:
-            assert model.measurement_jacobian is not None
-            h = np.ascontiguousarray(model.measurement_jacobian(self._mean, at))
-            predicted = np.ascontiguousarray(model.measurement(self._mean, at))
-        else:
-            predicted, h, r = self._regress(r, at)
+        y, received, *_ = measurement
+        predicted, h, r = self._linearised(measurement)
         self._flag(kalman_update(self._mean, self._covariance, y, predicted, received, h, r, self._residual,
                                  self._variance, self._failed))
         return Innovation(self._residual, self._variance)
@@ -98,6 +91,17 @@ class SigmaPointKalman(Estimator):
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:
             self._estimate = Estimate(self._mean, covariance=self._covariance)
         return self._estimate
+
+    def _linearised(self, measurement: Measurement) -> tuple[Array, Array, Array]:
+        """The measurement as a linear one: its mean (ny, S), h (ny, nx, S or 1), R (ny, ny, S or 1)."""
+        model, at = self.model, measurement.step
+        assert model.measurement_covariance is not None
+        r = np.ascontiguousarray(model.measurement_covariance(measurement))
+        if not self._linear:
+            return self._regress(r, at)
+        assert model.measurement_jacobian is not None
+        h = np.ascontiguousarray(model.measurement_jacobian(self._mean, at))
+        return np.ascontiguousarray(model.measurement(self._mean, at)), h, r
 
     def _regress(self, r: Array, step: int) -> tuple[Array, Array, Array]:
         """The measurement as a linear one with more noise: its mean (ny, S), h (ny, nx, S), R (ny, ny, S)."""

@@ -4,25 +4,37 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+from ...scenarios.errors import InputError
 from ...scenarios.files import Scenario, load
 from ...scenarios.registry import scenario_files
 
 
 def find(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[Scenario, tuple[str, ...]]:
     """A scenario and the variants meant: NAME or a path (all that do not run only when asked for), NAME/VARIANT or
-    PATH.toml/VARIANT (one).
+    PATH.toml/VARIANT (one), or a pattern of variants such as NAME/protocol-* (all that are called so).
 
     Of several variants those that cannot take the overrides are left out with a warning."""
-    scenario, variant = named(name, overrides)
+    base, _, pattern = name.rpartition("/")
+    several = "*" in pattern
+    scenario, variant = named(base if several else name, overrides)
     if variant:
         return scenario, (variant,)
+
+    def meant(variant: str) -> bool:
+        return fnmatchcase(variant, pattern) if several else variant not in scenario.requested
+
     for left, why in scenario.unfit.items():
-        if left not in scenario.requested:
+        if meant(left):
             warnings.warn(f"{scenario.where}: variant {left} is left out: {'; '.join(why)}", stacklevel=2)
-    return scenario, tuple(name for name in scenario.variants if name not in scenario.requested)
+    chosen = tuple(filter(meant, scenario.variants))
+    if not chosen:
+        raise InputError(f"{name}: there is no such variant; allowed: "
+                         f"{', '.join([*scenario.variants, *scenario.unfit])}")
+    return scenario, chosen
 
 
 def located(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The extended Kalman filter element by element, with a hook that weighs each reading before it is taken in.
+"""Kalman filters element by element, with a hook that weighs each reading before it is taken in.
 
 `rejected` says which of the received readings were discounted (weight or precision under one half): the alarms."""
 
@@ -13,7 +13,7 @@ from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Measurement, untold
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..interface import Innovation, Status, flag
+from ..interface import Estimator, Innovation, Status, flag
 from ..kalman import SINGULAR_INNOVATION, ExtendedKalman
 from .kernels import correct, look
 
@@ -50,10 +50,15 @@ class Weighed(NamedTuple):
     rejected: Mask
 
 
-class ElementwiseKalman(ExtendedKalman):
-    """The extended Kalman filter, elements in turn; subclasses weigh each one. Needs uncorrelated sensor noise."""
+class Elementwise(Estimator):
+    """A Kalman update element after element; subclasses weigh each one. Needs uncorrelated sensor noise."""
 
     family = "Outlier-robust"
+    bent: bool = False
+    """Whether the measurement is made linear anew for each element, about what the elements before it left."""
+    _mean: Array
+    _covariance: Array
+    _failed: Mask
 
     @classmethod
     def require(cls, model: DesignModel) -> None:
@@ -65,8 +70,11 @@ class ElementwiseKalman(ExtendedKalman):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        self._expand()
         self.rejected = np.zeros((model.ny, runs), dtype=bool)
+
+    def linear(self, measurement: Measurement) -> tuple[Array, Array, Array]:
+        """The measurement as a linear one: what is predicted (ny, S), h (ny, nx, S or 1), R (ny, ny, S or 1)."""
+        raise NotImplementedError
 
     def weigh(self, reading: Reading) -> Weighed:
         """What becomes of a reading. The plain Kalman filter takes each as it is told."""
@@ -76,12 +84,9 @@ class ElementwiseKalman(ExtendedKalman):
         """After a reading has been taken in: for filters that change their state again."""
 
     def update(self, measurement: Measurement) -> Innovation | None:
-        model, x, at = self.model, self._mean, measurement.step
-        assert model.measurement_jacobian is not None and model.measurement_covariance is not None
-        y = np.ascontiguousarray(measurement.y)
-        h = np.ascontiguousarray(model.measurement_jacobian(x, at))
-        r = np.broadcast_to(model.measurement_covariance(measurement), (len(y), len(y), self.runs))
-        predicted = np.array(model.measurement(x, at))  # a copy: it may be the mean itself
+        x, y = self._mean, np.ascontiguousarray(measurement.y)
+        predicted, h, r = self.linear(measurement)
+        predicted = predicted.copy()  # it may be the mean itself
         start, product = x.copy(), np.empty_like(x)
         residuals, variances = np.zeros(y.shape), np.ones(y.shape)
         self.rejected = rejected = np.zeros(y.shape, dtype=bool)
@@ -89,8 +94,12 @@ class ElementwiseKalman(ExtendedKalman):
         for j in range(len(y)):
             received = np.ascontiguousarray(measurement.received[j])
             residual, spread = np.empty(self.runs), np.empty(self.runs)
+            if j and self.bent:
+                predicted, h, r = self.linear(measurement)
+                start = x.copy()
             look(x, start, self._covariance, h[j], y[j], predicted[j], received, residual, spread, product)
-            reading = Reading(j, residual, spread, np.ascontiguousarray(r[j, j]), received, measurement.time)
+            noise = np.ascontiguousarray(np.broadcast_to(r[j, j], self.runs))
+            reading = Reading(j, residual, spread, noise, received, measurement.time)
             weighed = self.weigh(reading)
             bad += correct(x, self._covariance, h[j], product, residual, spread + weighed.noise, weighed.noise,
                            weighed.weight, received, self._failed)
@@ -100,3 +109,17 @@ class ElementwiseKalman(ExtendedKalman):
         if bad:
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
         return Innovation(residuals, variances)
+
+
+class ElementwiseKalman(Elementwise, ExtendedKalman):
+    """The extended Kalman filter by elements in turn, linearised once."""
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self._expand()
+
+    def linear(self, measurement: Measurement) -> tuple[Array, Array, Array]:
+        model, x, at = self.model, self._mean, measurement.step
+        assert model.measurement_jacobian is not None and model.measurement_covariance is not None
+        h = np.ascontiguousarray(model.measurement_jacobian(x, at))
+        return np.asarray(model.measurement(x, at)), h, model.measurement_covariance(measurement)

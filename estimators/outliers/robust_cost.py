@@ -4,13 +4,16 @@ Both are the Kalman filter with a noise variance that grows with the normalised 
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 from pydantic import Field, PositiveFloat
 
+from ...scenarios.arrays import Array
+from ...scenarios.measurement import Measurement
+from ...scenarios.model import DesignModel
+from ...scenarios.randomness import RunRandom
 from ..interface import Parameters
-from .base import ElementwiseKalman, Reading, Weighed
+from ..sigma_point import UnscentedKalman
+from .base import Elementwise, ElementwiseKalman, Reading, Weighed
 from .kernels import correntropy
 
 LEAST_WEIGHT = 1e-12
@@ -40,9 +43,34 @@ class CorrentropyKalman(ElementwiseKalman):
 
     summary = "EKF by the maximum correntropy criterion (MCC)"
     source = "Chen, Liu, Zhao and Principe, Automatica 76, 2017 (one step of the fixed-point iteration)"
-    least: ClassVar[float] = LEAST_WEIGHT
 
     def weigh(self, reading: Reading) -> Weighed:
-        weight = np.empty_like(reading.residual)
-        correntropy(reading.ratio, self.parameters.bandwidth, weight)
-        return Weighed(reading.noise / np.maximum(weight, self.least), np.ones_like(weight), weight < 0.5)
+        return _by_correntropy(reading, self.parameters.bandwidth)
+
+
+class CorrentropyUnscented(Elementwise, UnscentedKalman):
+    """The same over sigma points: R / w with the w of `mcc`, nu from the unscented transform. Where h is not linear, an
+    element's transform is taken anew after the elements before it; what h bends adds to R, and is divided with it."""
+
+    class Parameters(UnscentedKalman.Parameters):
+        bandwidth: PositiveFloat = Field(3.0, description="of the kernel, in standard deviations of the residual")
+
+    family = "Outlier-robust"
+    summary = "UKF by the maximum correntropy criterion (MCC)"
+    source = "Liu, Chen, Xu, Wu and Honeine, Int. J. Syst. Sci. 48(8), 2017 (readings alone, one step of the iteration)"
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self.bent = not self._linear
+
+    def linear(self, measurement: Measurement) -> tuple[Array, Array, Array]:
+        return self._linearised(measurement)
+
+    def weigh(self, reading: Reading) -> Weighed:
+        return _by_correntropy(reading, self.parameters.bandwidth)
+
+
+def _by_correntropy(reading: Reading, bandwidth: float) -> Weighed:
+    weight = np.empty_like(reading.residual)
+    correntropy(reading.ratio, bandwidth, weight)
+    return Weighed(reading.noise / np.maximum(weight, LEAST_WEIGHT), np.ones_like(weight), weight < 0.5)

@@ -143,6 +143,79 @@ def test_against_a_scalar_loop(plugin, parameters, weigh):
         np.testing.assert_allclose(covariances[..., run], P, rtol=1e-7, atol=1e-12)
 
 
+def points(x, P):
+    """Weights and points of the unscented transform with kappa = 3 - n."""
+    n, columns = len(x), np.linalg.cholesky(3 * P).T
+    return np.array([1 - n / 3] + [1 / 6] * (2 * n)), [x, *(x + c for c in columns), *(x - c for c in columns)]
+
+
+def test_the_unscented_filter_by_correntropy_against_a_scalar_loop():
+    """The metro, whose h is linear, through the points."""
+    means, covariances, rejected, world, model = recorded("ukf-mcc", {})
+    for run in range(3):
+        x, P = model.initial_mean[:, run].copy(), model.initial_covariance[:, :, 0]
+        for k in range(STEPS):
+            step = world.step(k, x)
+            u, interval = step.u[:, run:run + 1], Interval(step.number, step.start, step.length)
+            w, X = points(x, P)
+            Q = model.process_covariance(x[:, None], u, interval)[:, :, 0]
+            moved = [model.transition(p[:, None], u, interval)[:, 0] for p in X]
+            x = sum(a * p for a, p in zip(w, moved, strict=True))
+            P = Q + sum(a * np.outer(p - x, p - x) for a, p in zip(w, moved, strict=True))
+            R = model.measurement_covariance(Measurement(world.y[k], world.received[k], k + 1))[:, :, 0]
+            x, P, alarms = by_points(x, P, world.y[k, :, run], world.received[k, :, run], lambda p: p, R)
+            np.testing.assert_allclose(means[k, :, run], x, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(covariances[k, ..., run], P, rtol=1e-7, atol=1e-12)
+            assert rejected[k][:, run].tolist() == alarms
+    assert np.array(rejected).any()
+
+
+def by_points(x, P, y, received, h, R):
+    """An element after the other: points drawn, weighed by exp(-nu^2 / 18), P- - K S K'."""
+    alarms = [False] * len(y)
+    for j in np.flatnonzero(received):
+        w, X = points(x, P)
+        images = [h(p)[j] for p in X]
+        middle = sum(a * z for a, z in zip(w, images, strict=True))
+        spread = sum(a * (z - middle) ** 2 for a, z in zip(w, images, strict=True))
+        cross = sum(a * (p - x) * (z - middle) for a, p, z in zip(w, X, images, strict=True))
+        # What is linear of h in the points, and what it bends, which counts as noise.
+        straight = cross @ np.linalg.solve(P, cross)
+        noise = R[j, j] + spread - straight
+        weight = max(math.exp(-((y[j] - middle) ** 2) / (straight + noise) / 18), 1e-12)
+        alarms[j] = weight < 0.5
+        S = straight + noise / weight
+        x, P = x + cross / S * (y[j] - middle), P - np.outer(cross, cross) / S
+    return x, P, alarms
+
+
+def test_correntropy_of_ranges():
+    """Two ranges to a point in the plane, drawn anew for the second."""
+    posts = np.array([[0.0, 0.0], [30.0, 0.0]])
+
+    def ranges(x):
+        return np.stack([np.hypot(x[0] - a, x[1] - b) for a, b in posts])
+
+    R = np.diag([0.25, 0.25])
+    model = DesignModel(
+        states=("x", "y"), measurements=("a", "b"), period=1.0, transition=lambda x, u, interval: x,
+        measurement=lambda x, step: ranges(x), transition_jacobian=None, measurement_jacobian=None,
+        process_covariance=lambda x, u, interval: np.zeros((2, 2, 1)),
+        measurement_covariance=lambda measurement: R[:, :, None], initial_mean=np.array([[10.0, 11.0], [12.0, 9.0]]),
+        initial_covariance=np.array([[9.0, 2.0], [2.0, 4.0]])[:, :, None])
+    y = np.array([[15.0, 16.0], [24.0, 70.0]])
+    estimator = estimators()["ukf-mcc"]({})
+    estimator.start(model, 2, Streams(1, "a", "b", range(2))("estimator"))
+    estimator.update(Measurement(y, np.ones((2, 2), dtype=bool), 1))
+    for run in range(2):
+        x, P, alarms = by_points(model.initial_mean[:, run], model.initial_covariance[..., 0], y[:, run], [True, True],
+                                 ranges, R)
+        np.testing.assert_allclose(estimator.estimate().mean[:, run], x, rtol=1e-10)
+        np.testing.assert_allclose(estimator.estimate().covariance[..., run], P, rtol=1e-9)
+        assert estimator.rejected[:, run].tolist() == alarms
+    assert estimator.rejected[:, 1].tolist() == [False, True]
+
+
 def test_roth_against_a_scalar_loop():
     means, covariances, _, world, model = recorded("student-t-roth", {})
     for run in range(3):
@@ -228,7 +301,7 @@ def test_second_order_filter_on_a_square():
 
 
 @pytest.mark.parametrize("plugin", ["gate", "soft-gate", "huber", "mcc", "student-t", "student-t-roth", "adaptive-r",
-                                    "ekf-second-order"])
+                                    "ekf-second-order", "ukf-mcc"])
 def test_a_run_is_the_same_in_any_company(plugin):
     whole, part = recorded(plugin, {}, steps=30), recorded(plugin, {}, runs=(2,), steps=30)
     np.testing.assert_array_equal(whole[0][..., 2:], part[0])

@@ -48,7 +48,7 @@ def page_acceleration(s, v, u):
 
 def test_the_first_variant_is_switching_and_all_eight_are_there():
     scenario, variants = find("ningbo-metro")
-    assert scenario.requested == {"whole-line"}
+    assert scenario.requested == {"late", "late-random", "whole-line"}
     assert variants == (
         "switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
 
