@@ -14,12 +14,15 @@ import pandas as pd
 import typer
 
 from ...estimators.interface import Estimator
+from ...estimators.random_access.losses import growth, plant
+from ...estimators.random_access.losses import losses as mean_covariance
 from ...estimators.registry import estimator_class
 from ...estimators.ultimate_bound.decay import trade_off
 from ...estimators.ultimate_bound.estimators import FixedGain
 from ...estimators.ultimate_bound.gains import read_gain
 from ...estimators.ultimate_bound.moments import mean_square
 from ...estimators.ultimate_bound.system import error_system
+from ...scenarios.channels.gilbert_elliott import GilbertElliott
 from ...scenarios.errors import Infeasible, InputError, Unsupported
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
@@ -44,16 +47,22 @@ def design(
     delta: Delta = None,
     trade: Annotated[str, typer.Option("--trade-off", metavar="T,T,..",
                                        help="Certified bound against these decays instead, such as 0.97,0.98.")] = "",
-    plot: Annotated[str, typer.Option(help="Draw the trade-off into this file (.svg, .pdf, .png).")] = "",
+    losses: Annotated[str, typer.Option(metavar="P,P,..", help=(
+        "The Kalman filter's mean covariance and its bounds where these shares of packets arrive, such as 0.4,0.6."
+    ))] = "",
+    plot: Annotated[str, typer.Option(help="Draw trade-off or losses into this file (.svg, .pdf, .png).")] = "",
     out: Annotated[str, typer.Option(help="Write each gain to FOLDER/LABEL.csv, as `certify --gain` reads it.")] = "",
     set_: Sets = [],  # noqa: B006
 ) -> None:
     """Design a scenario's estimators and print gains and certified bounds."""
     setting, name, variant = _setting(scenario, theta, delta, set_)
-    if plot and not trade:
-        raise InputError("--plot: draws the trade-off, so it needs --trade-off")
+    if plot and not (trade or losses):
+        raise InputError("--plot: draws a trade-off or losses, so it needs --trade-off or --losses")
+    if losses:
+        _losses(setting, name, variant, _shares(losses, "--losses"), plot)
+        return
     if trade:
-        _trade_off(setting, name, variant, _thetas(trade), plot)
+        _trade_off(setting, name, variant, _shares(trade, "--trade-off"), plot)
         return
     rows: list[dict[str, Any]] = []
     gains: dict[str, np.ndarray] = {}
@@ -232,14 +241,46 @@ def _labels(setting: Setting[Any], only: str, catalogue: Catalogue) -> list[str]
     return labels(only) or list(known)
 
 
-def _thetas(text: str) -> list[float]:
+def _shares(text: str, flag: str) -> list[float]:
     try:
-        thetas = [float(word) for word in names_in(text)]
+        found = [float(word) for word in names_in(text)]
     except ValueError:
-        thetas = []
-    if not thetas or not all(0 < theta < 1 for theta in thetas):
-        raise InputError(f"--trade-off {text}: expected decays between 0 and 1, such as 0.97,0.98,0.99")
-    return thetas
+        found = []
+    if not found or not all(0 < value < 1 for value in found):
+        raise InputError(f"{flag} {text}: expected numbers between 0 and 1, such as 0.97,0.98,0.99")
+    return found
+
+
+def _losses(setting: Setting[Any], name: str, variant: str, shares: list[float], plot: str) -> None:
+    """Mean covariance and its bounds over the share of packets that arrive; of bursts, whether it is bounded."""
+    model = setting.design_model({}, setting.world(Streams(0, name, variant, (0,))).initial_mean)
+    try:
+        grows, found = growth(plant(model)[0]), [mean_covariance(model, p) for p in sorted(shares)]
+    except Unsupported as reason:
+        raise InputError(f"{name}/{variant}: --losses: {reason}") from None
+
+    def shown(value: float | None) -> str:
+        return "not known" if value is None else f"{value:.4g}" if np.isfinite(value) else "infinite"
+
+    print_table(f"Trace of the Kalman filter's predicted covariance under losses, {name}/{variant}", pd.DataFrame([
+        {"arrives": f"{item.p:g}", "lower bound S": shown(item.lower), "mean": shown(item.mean),
+         "± 95 %": f"{1.96 * item.error:.2g}" if item.error else "", "upper bound V": shown(item.upper)}
+        for item in found]))
+    threshold = 1 - 1 / max(grows, 1.0)
+    print(f"Infinite where the share is at most 1 - 1/rho^2 = {threshold:.4g}, rho the largest |eigenvalue| of A.")
+    channel = setting.config.channel
+    if isinstance(channel, GilbertElliott) and (channel.p_good, channel.p_bad) == (1.0, 0.0):
+        left = (1 - channel.p_bad_good) * grows
+        if left >= 1 or found[0].mean is not None:
+            print(f"Bursts of this channel: (1 - p_bad_good) rho^2 = {left:.4g}, so the mean is "
+                  f"{'bounded' if left < 1 else 'infinite'}, whatever the mean loss.")
+    if plot:
+        from ..telling.figures.losses import covariance_under_losses
+
+        try:
+            covariance_under_losses(found, threshold, f"Covariance under losses, {name}/{variant}").save(Path(plot))
+        except (OSError, ValueError) as error:
+            raise InputError(f"--plot {plot}: cannot be written: {error}") from None
 
 
 def _trade_off(setting: Setting[Any], name: str, variant: str, thetas: list[float], plot: str) -> None:
