@@ -197,6 +197,7 @@ def test_the_committed_tables_come_out_again(railstate: Command) -> None:
     assert (((ours - before["ours"]).abs() <= room) | before["ours"].isna()).all()
 
 
+@pytest.mark.long
 def test_few_runs_of_all_papers_contradict_no_committed_verdict(railstate: Command) -> None:
     """Verdicts are the committed ones or undecided, exact numbers the same."""
     done = railstate("reproduce", "--runs", 10, "--out", "pub", "--json")
