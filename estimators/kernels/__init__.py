@@ -10,11 +10,8 @@ from .core import (
     gather2,
     gather3,
     kernel,
-    multiply,
     scatter2,
     scatter3,
-    solve_spd,
-    symmetrise,
     tile_width,
 )
 
@@ -28,10 +25,7 @@ __all__ = [
     "gather2",
     "gather3",
     "kernel",
-    "multiply",
     "scatter2",
     "scatter3",
-    "solve_spd",
-    "symmetrise",
     "tile_width",
 ]

@@ -76,31 +76,6 @@ def scatter3(tile, index, width, target):
 
 
 @kernel
-def multiply(a, b, out):
-    """out (n, p, S) := a (n, m, S or 1) times b (m, p, S or 1)."""
-    runs = out.shape[2]
-    for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            for s in range(runs):
-                out[i, j, s] = 0.0
-            for k in range(a.shape[1]):
-                if a.shape[2] == 1 and b.shape[2] == 1:
-                    for s in range(runs):
-                        out[i, j, s] += a[i, k, 0] * b[k, j, 0]
-                elif a.shape[2] == 1:
-                    factor = a[i, k, 0]
-                    for s in range(runs):
-                        out[i, j, s] += factor * b[k, j, s]
-                elif b.shape[2] == 1:
-                    factor = b[k, j, 0]
-                    for s in range(runs):
-                        out[i, j, s] += a[i, k, s] * factor
-                else:
-                    for s in range(runs):
-                        out[i, j, s] += a[i, k, s] * b[k, j, s]
-
-
-@kernel
 def apply(matrix, x, out):
     """out (n, S) := matrix (n, m, S or 1) times x (m, S)."""
     for i in range(matrix.shape[0]):
@@ -114,17 +89,6 @@ def apply(matrix, x, out):
             else:
                 for s in range(x.shape[1]):
                     out[i, s] += matrix[i, k, s] * x[k, s]
-
-
-@kernel
-def symmetrise(matrix):
-    """matrix (n, n, S) := (matrix + its transpose) / 2, in place."""
-    for i in range(matrix.shape[0]):
-        for j in range(i):
-            for s in range(matrix.shape[2]):
-                value = 0.5 * (matrix[i, j, s] + matrix[j, i, s])
-                matrix[i, j, s] = value
-                matrix[j, i, s] = value
 
 
 @kernel
@@ -309,21 +273,4 @@ def cholesky(matrix, factor, failed):
     set, and the factor NaN, where it is indefinite or not finite. Returns how many runs have failed."""
     inverse = np.empty((matrix.shape[0], matrix.shape[2]))
     factorise(matrix, factor, inverse, failed, False, matrix.shape[2])
-    return failed.sum()
-
-
-@kernel
-def solve_spd(matrix, rhs, failed):
-    """rhs (n, m, S) := matrix^-1 rhs in place, matrix (n, n, S) symmetric positive definite; failed (S,) is set, and
-    the result NaN, where it is not. Returns how many runs have failed."""
-    n, runs = matrix.shape[0], matrix.shape[2]
-    factor, inverse = np.empty((n, n, runs)), np.empty((n, runs))
-    factorise(matrix, factor, inverse, failed, True, runs)
-    forward(factor, inverse, rhs, runs)
-    backward(factor, inverse, rhs, runs)
-    for i in range(n):
-        for j in range(rhs.shape[1]):
-            for s in range(runs):
-                if failed[s]:
-                    rhs[i, j, s] = np.nan
     return failed.sum()

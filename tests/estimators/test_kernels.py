@@ -43,10 +43,6 @@ def test_products(n: int, shared: bool) -> None:
     kernels.congruence(f, p, q, out)
     np.testing.assert_allclose(out, each(lambda f, p, q: f @ p @ f.T + q, f, p, q), rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(out, out.swapaxes(0, 1))
-    half = np.empty((n + 1, n, RUNS))
-    for a, b in ((f, p), (f, p[:, :, :1].copy())):
-        kernels.multiply(a, b, half)
-        np.testing.assert_allclose(half, np.broadcast_to(each(np.matmul, a, b), half.shape), rtol=1e-12, atol=1e-12)
     moved = np.empty((n + 1, RUNS))
     kernels.apply(f, x, moved)
     np.testing.assert_allclose(moved, each(np.matmul, f, x), rtol=1e-12, atol=1e-12)
@@ -61,18 +57,16 @@ def test_congruence_in_place() -> None:
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_cholesky_and_solve(n: int) -> None:
-    p, b, failed = positive(n), draw(n, 3, RUNS), np.zeros(RUNS, dtype=bool)
-    factor, solved = np.empty_like(p), b.copy()
+def test_cholesky(n: int) -> None:
+    p, failed = positive(n), np.zeros(RUNS, dtype=bool)
+    factor = np.empty_like(p)
     assert kernels.cholesky(p, factor, failed) == 0
     np.testing.assert_allclose(factor, each(np.linalg.cholesky, p), rtol=1e-9, atol=1e-12)
-    assert kernels.solve_spd(p, solved, failed) == 0
-    np.testing.assert_allclose(each(np.matmul, p, solved), b, rtol=1e-8, atol=1e-8)
     assert not failed.any()
 
 
 def test_cholesky_of_singular_and_indefinite() -> None:
-    """Rank one and zero are factored, an indefinite or NaN run fails alone; to solve, singular is a failure too."""
+    """Rank one and zero are factored, an indefinite or NaN run fails alone."""
     v = np.array([1.0, 2.0, -3.0])
     p = np.stack([np.eye(3), np.outer(v, v), np.zeros((3, 3)), np.diag([1.0, -1e-3, 1.0]), np.full((3, 3), np.nan)],
                  axis=-1).copy()
@@ -81,33 +75,19 @@ def test_cholesky_of_singular_and_indefinite() -> None:
     assert failed.tolist() == [False, False, False, True, True]
     np.testing.assert_allclose(each(lambda l: l @ l.T, factor)[..., :3], p[..., :3], rtol=0, atol=1e-14)
     assert np.isnan(factor[..., 3:]).any(axis=(0, 1)).all()
-    rhs, failed = np.ones((3, 1, 5)), np.zeros(5, dtype=bool)
-    assert kernels.solve_spd(p, rhs, failed) == 4
-    np.testing.assert_array_equal(rhs[..., 0], 1.0)
-    assert np.isnan(rhs[..., 1:]).all()
-
-
-def test_symmetrise() -> None:
-    a = draw(4, 4, RUNS)
-    expected = each(lambda a: (a + a.T) / 2, a)
-    kernels.symmetrise(a)
-    np.testing.assert_array_equal(a, expected)
 
 
 @pytest.mark.parametrize("width", [1, 2, 7, 100])
 def test_bits_do_not_depend_on_the_batch(width: int) -> None:
-    f, p, q, b = draw(6, 6, RUNS), positive(6), positive(6, 1), draw(6, 2, RUNS)
+    f, p, q = draw(6, 6, RUNS), positive(6), positive(6, 1)
 
-    def work(f: Array, p: Array, b: Array) -> list[Array]:
-        failed, b = np.zeros(p.shape[2], dtype=bool), b.copy()
-        moved, half, factor = np.empty_like(p), np.empty_like(p), np.empty_like(p)
+    def work(f: Array, p: Array) -> list[Array]:
+        moved, factor = np.empty_like(p), np.empty_like(p)
         kernels.congruence(f, p, q, moved)
-        kernels.multiply(f, p, half)
-        kernels.cholesky(moved, factor, failed)
-        kernels.solve_spd(p, b, failed)
-        return [moved, half, factor, b]
+        kernels.cholesky(moved, factor, np.zeros(p.shape[2], dtype=bool))
+        return [moved, factor]
 
-    for large, small in zip(work(f, p, b), work(*(np.ascontiguousarray(a[..., 3:3 + width]) for a in (f, p, b))),
+    for large, small in zip(work(f, p), work(*(np.ascontiguousarray(a[..., 3:3 + width]) for a in (f, p))),
                             strict=True):
         np.testing.assert_array_equal(large[..., 3:3 + width], small)
 
