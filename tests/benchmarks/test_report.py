@@ -370,6 +370,11 @@ def test_faults_by_filters_where_a_folder_has_them(results: Results) -> None:
     made = fault_table([replace(cells[0], table={"faults": [{"kind": "outliers"}, {"kind": "stuck"}]}), cells[1]])
     assert made and [entries[0].html for _, entries in made.lines] == ["outliers, stuck", "none"]
     assert "★ 1" in str(made.lines[0][1][1 + cells[0].cell.labels.index("ekf")].html)
+    both = fault_table([replace(cell, table={"faults": [{"kind": "outliers", "share": share}]})
+                        for cell, share in zip(cells, (0.1, 0.3), strict=False)])
+    assert both and [entries[0].html for _, entries in both.lines] == [
+        "outliers 10 %", "outliers 30 %", "breaks down at outliers of"]
+    assert both.lines[-1][1][1 + cells[0].cell.labels.index("ekf")].html in ("none up to 30 %", "30 %")
 
 
 def test_published_numbers_stand_by_readings_with_their_notes_once() -> None:

@@ -1,4 +1,4 @@
-"""Smoothers on the built-in variants with Gaussian noise: less error than their filter, the whole trip less than a lag."""
+"""Smoothers on built-in variants with Gaussian noise: less error than their filter, the whole trip less than a lag."""
 
 from __future__ import annotations
 

@@ -37,6 +37,8 @@ PLOTS = 2
 FOR_EACH = ("error-over-time", "errors-per-run")
 """Figures that the page draws in its own way."""
 CARRIED = "one run carries"
+BREAKDOWN = 2.0
+"""Times the best of a variant with outliers at which a filter counts as broken down."""
 
 
 class Entry(NamedTuple):
@@ -242,15 +244,20 @@ def _outcome(line: Line) -> Entry:
 
 def fault_table(cells: Sequence[CellResults]) -> Table | None:
     """Faults by filters: a line a variant, a column an entry, the ratio to the best with its verdict, under it the
-    time of recovery. None where no variant has faults."""
-    kinds = {cell.variant: ", ".join(dict.fromkeys(str(fault.get("kind")) for fault in cell.table.get("faults") or ()))
-             for cell in cells}
+    share of runs locked and the time of recovery; a line for the share of outliers at which each breaks down. None
+    where no variant has faults."""
+    kinds = {cell.variant: ", ".join(dict.fromkeys(map(_fault, cell.table.get("faults") or ()))) for cell in cells}
     if not any(kinds.values()):
         return None
     labels = list(dict.fromkeys(label for cell in cells for label in cell.cell.labels))
     lines: list[tuple[str, list[Entry]]] = []
+    broken: dict[float, set[str]] = {}
     for cell in cells:
         ranking = cell.cell.rankings[0] if cell.cell.rankings else None
+        faults = cell.table.get("faults") or ()
+        alone = len(faults) == 1 and faults[0]["kind"] == "outliers" and faults[0].get("sign", "both") == "both"
+        fell = broken.setdefault(faults[0]["share"], set()) if alone and faults[0].get("share") else set()
+        locked = {line["estimator"]: line["value"] for line in cell.lines("share", "locked") if line["value"] > 0}
         back = {line["estimator"]: line for line in cell.lines("value", "recovery") if line["runs"]}
         entries = [Entry(kinds[cell.variant] or "none")]
         for label in labels:
@@ -259,13 +266,29 @@ def fault_table(cells: Sequence[CellResults]) -> Table | None:
                 entries.append(Entry(Markup('<span class="dot" aria-hidden="true">·</span>')))
                 continue
             said = {"lost": f"{line['lost']} lost", "oracle": ""}.get(drawn(line)) or ratio_of(line)
-            under = (Markup("<small>{} s back</small>").format(number(back[label]["value"])) if label in back else "")
+            if drawn(line) == "lost" or line["ratio"] > BREAKDOWN or label in locked:
+                fell.add(label)
+            words = [f"{percent(locked[label])} locked"] if label in locked else []
+            words += [f"{number(back[label]['value'])} s back"] if label in back else []
+            under = Markup("<small>{}</small>").format(", ".join(words)) if words else ""
             entries.append(Entry(Markup("{}{}").format(chip(drawn(line), said, shade(line)), under),
                                  _data(line["ratio"])))
         lines.append((cell.variant, entries))
+    if len(broken) > 1:
+        entries = [Entry("breaks down at outliers of")]
+        for label in labels:
+            at = min((share for share, fell in broken.items() if label in fell), default=None)
+            entries.append(Entry(f"none up to {100 * max(broken):g} %" if at is None else f"{100 * at:g} %", _data(at or 1.0)))
+        lines.append(("all shares", entries))
     return Table([("faults", "faults", False), *((label, label, False) for label in labels)], lines,
-                 "Ratio to the best of each variant, first quantity; under it the mean time until the error is back to "
-                 "its usual size.")
+                 "Ratio to the best of each variant, first quantity; under it the share of runs locked (over 3 m in "
+                 "each of the last 10 s) and the mean time until the error is back to its usual size. A filter breaks down "
+                 f"where its error is over {BREAKDOWN:g} times the best or a run is locked or lost.")
+
+
+def _fault(fault: Any) -> str:
+    """`outliers 10 %`."""
+    return f"{fault['kind']} {100 * fault['share']:g} %" if fault.get("share") else str(fault["kind"])
 
 
 def failures(cell: CellResults, folder: str) -> list[tuple[str, str, str]]:
