@@ -254,7 +254,7 @@ def fault_table(cells: Sequence[CellResults]) -> Table | None:
     broken: dict[float, set[str]] = {}
     for cell in cells:
         ranking = cell.cell.rankings[0] if cell.cell.rankings else None
-        faults = cell.table.get("faults") or ()
+        faults: Sequence[Any] = cell.table.get("faults") or ()
         alone = len(faults) == 1 and faults[0]["kind"] == "outliers" and faults[0].get("sign", "both") == "both"
         fell = broken.setdefault(faults[0]["share"], set()) if alone and faults[0].get("share") else set()
         locked = {line["estimator"]: line["value"] for line in cell.lines("share", "locked") if line["value"] > 0}
@@ -278,12 +278,13 @@ def fault_table(cells: Sequence[CellResults]) -> Table | None:
         entries = [Entry("breaks down at outliers of")]
         for label in labels:
             at = min((share for share, fell in broken.items() if label in fell), default=None)
-            entries.append(Entry(f"none up to {100 * max(broken):g} %" if at is None else f"{100 * at:g} %", _data(at or 1.0)))
+            said = f"none up to {100 * max(broken):g} %" if at is None else f"{100 * at:g} %"
+            entries.append(Entry(said, _data(at or 1.0)))
         lines.append(("all shares", entries))
     return Table([("faults", "faults", False), *((label, label, False) for label in labels)], lines,
                  "Ratio to the best of each variant, first quantity; under it the share of runs locked (over 3 m in "
-                 "each of the last 10 s) and the mean time until the error is back to its usual size. A filter breaks down "
-                 f"where its error is over {BREAKDOWN:g} times the best or a run is locked or lost.")
+                 "each of the last 10 s) and the mean time until the error is back to its usual size. A filter breaks "
+                 f"down where its error is over {BREAKDOWN:g} times the best or a run is locked or lost.")
 
 
 def _fault(fault: Any) -> str:
