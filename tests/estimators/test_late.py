@@ -55,7 +55,8 @@ def delayed(world):
 
 CASES = [*(("ningbo-metro", "gaussian", name) for name in (
     "ekf", "ukf", "ckf", "particle", "robust-mean-square", "robust-ellipsoid", "dead-reckoning", "filterpy-ekf", "gate",
-    "soft-gate", "huber", "mcc", "student-t", "student-t-roth", "adaptive-r", "ekf-second-order")),
+    "soft-gate", "huber", "mcc", "student-t", "student-t-roth", "adaptive-r", "ekf-second-order",
+    "ukf-mcc")),
     *(("braking-rate", "paper", name) for name in ("imm", "rbpf", "sma", "gsma")),
     ("rap-example-1", "corrected", "kalman"), ("cbtc-csma", "uniform", "direct")]
 

@@ -254,7 +254,7 @@ def fault_table(cells: Sequence[CellResults]) -> Table | None:
     broken: dict[float, set[str]] = {}
     for cell in cells:
         ranking = cell.cell.rankings[0] if cell.cell.rankings else None
-        faults: Sequence[Any] = cell.table.get("faults") or ()
+        faults = list(cell.table.get("faults") or ())
         alone = len(faults) == 1 and faults[0]["kind"] == "outliers" and faults[0].get("sign", "both") == "both"
         fell = broken.setdefault(faults[0]["share"], set()) if alone and faults[0].get("share") else set()
         locked = {line["estimator"]: line["value"] for line in cell.lines("share", "locked") if line["value"] > 0}
