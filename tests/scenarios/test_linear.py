@@ -204,10 +204,12 @@ def test_estimators_may_be_told_another_plant():
 @pytest.mark.parametrize("name", ["rap-example-1", "rap-example-2"])
 def test_the_built_in_scenarios(name):
     scenario = load(name)
-    assert list(scenario.variants) == ["corrected", "printed"]
-    for variant in scenario.variants:
+    usual = [variant for variant in scenario.variants if variant not in scenario.requested]
+    assert usual == ["corrected", "printed"]
+    for variant in usual:
         plant = scenario.setting(variant)
-        assert list(plant.config.estimators) == ["random-access", "random-access-conditional"]
+        assert [label for label, entry in plant.config.estimators.items() if entry.default] == [
+            "random-access", "random-access-conditional"]
         assert [q.name for q in plant.quantities()] == [f"x{i + 1}" for i in range(len(plant.config.plant.x0))]
 
 
