@@ -18,7 +18,7 @@ class IntervalObserver(Estimator):
     Claims the first state's interval, as an ellipsoid of one dimension. Judge it by width and misses: where one side is
     bounded better than the other, its middle is no good estimate."""
 
-    family = "Interval"
+    family = "Set membership"
     summary = "interval observer: what surely holds, by the model's inclusion"
     source = "Gouze, Rapaport, Hadj-Sadok, Ecological Modelling 133, 2000 (the idea)"
     needs: ClassVar[tuple[str, ...]] = ("inclusion",)
