@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat, model_validator
+from scipy.special import chdtri
 
 from ...scenarios.arrays import Array, read_only
 from ...scenarios.errors import Unsupported
@@ -19,20 +20,34 @@ from .. import mode_grid
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import ExtendedKalman
 from ..kernels.mixing import log_density, mix, moments, weigh
+from ..outliers.base import Reading
+from ..outliers.kernels import look
+from ..outliers.reopening import Memory, Reopening
 from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
 
 
 class HypothesesParameters(Parameters):
-    """p(mode'|mode) where the design model does not say."""
+    """p(mode'|mode) where the design model does not say, and a gate in front of the modes."""
 
     stay: float = Field(0.9, gt=0, le=1, description="probability of staying in a mode over a step, else one up or "
                         "down the list: used where the design model has no transition matrix of its own")
+    gate: tuple[str, ...] = Field((), description="sensors whose readings are rejected where they lie too far from "
+                                  "what all modes together predict; none: every reading is taken")
+    level: float = Field(0.999, gt=0, lt=1, description="gate: share of good readings let through")
+    after: PositiveFloat = Field(20.0, description="gate: s of rejections after which it opens")
+
+    @model_validator(mode="after")
+    def _used(self) -> HypothesesParameters:
+        if not self.gate and {"level", "after"} & self.model_fields_set:
+            raise ValueError("level and after are used with a gate only: name its sensors, or leave them out")
+        return self
 
 
 class InteractingModels(Estimator):
     """IMM: mix the modes' Gaussians by the transition matrix, filter each with its model, weigh, combine.
 
-    An interval of p sampling periods mixes by the transition matrix to the power p."""
+    An interval of p sampling periods mixes by the transition matrix to the power p. A gate judges a reading before any
+    other of its measurement is taken in, by the moments of the mixture, and opens after a time of rejections."""
 
     Parameters = HypothesesParameters
     family = "IMM"
@@ -71,6 +86,10 @@ class InteractingModels(Estimator):
         self.weight = np.repeat(np.asarray(model.modes.prior, dtype=float)[:, None], runs, axis=1)
         self.lost = np.zeros(runs, dtype=bool)
         self._mean, self._covariance = np.empty((model.nx, runs)), np.empty((model.nx, model.nx, runs))
+        p = self.parameters
+        rule = Reopening.model_validate({"reopen": "time", "after": p.after, "sensors": p.gate})
+        self._closed = Memory(rule, model, runs) if p.gate else None
+        self.rejected = np.zeros((model.ny, runs), dtype=bool) if p.gate else None
 
     def predict(self, u: Array, interval: Interval) -> None:
         moving = np.ascontiguousarray(interval.moving(self.runs))
@@ -78,7 +97,31 @@ class InteractingModels(Estimator):
         mix(self.power(periods), self.weight, moving, self.bank._mean, self.bank._covariance)
         self.bank.predict(read_only(np.tile(u, self.m)), interval_of(interval, self.m))
 
+    def _gated(self, measurement: Measurement, memory: Memory) -> Measurement:
+        """The measurement without what the gate rejects."""
+        model, runs, at = self.model, self.runs, measurement.step
+        assert model.measurement_jacobian is not None and model.measurement_covariance is not None
+        self.rejected = rejected = np.zeros(measurement.received.shape, dtype=bool)
+        if not measurement.received[memory.judged].any():
+            return measurement
+        self.estimate()
+        x, P = self._mean, self._covariance
+        h, predicted = model.measurement_jacobian(x, at), model.measurement(x, at)
+        R = model.measurement_covariance(measurement)
+        residual, spread, product = np.empty(runs), np.empty(runs), np.empty_like(x)
+        for j in memory.judged:
+            got = np.ascontiguousarray(measurement.received[j])
+            look(x, x, P, np.ascontiguousarray(h[j]), np.ascontiguousarray(measurement.y[j]),
+                 np.ascontiguousarray(predicted[j]), got, residual, spread, product)
+            reading = Reading(j, residual, spread, np.broadcast_to(R[j, j], runs), got, measurement.time)
+            outside = reading.ratio > chdtri(1, 1 - self.parameters.level)
+            rejected[j] = got & outside & ~memory.opened(reading)
+            memory.note(reading, outside)
+        return measurement._replace(received=read_only(measurement.received & ~rejected))
+
     def update(self, measurement: Measurement) -> Innovation | None:
+        if self._closed is not None:
+            measurement = self._gated(measurement, self._closed)
         heard = measurement.received.any(axis=0)
         if not heard.any():
             return None
@@ -95,9 +138,11 @@ class InteractingModels(Estimator):
         return Estimate(self._mean, covariance=self._covariance)
 
     def snapshot(self) -> Any:
-        return self.bank.snapshot(), self.weight.copy(), self.lost.copy()
+        return self.bank.snapshot(), self.weight.copy(), self.lost.copy(), self._closed and self._closed.since.copy()
 
     def restore(self, snapshot: Any) -> None:
-        bank, weight, lost = snapshot
+        bank, weight, lost, since = snapshot
         self.bank.restore(bank)
         self.weight, self.lost = weight.copy(), lost.copy()
+        if self._closed is not None:
+            self._closed.since = since.copy()

@@ -19,11 +19,20 @@ from .reopening import Memory, Reopening
 
 
 class _Reopened(ElementwiseKalman):
-    """A gate with a memory of what it rejects."""
+    """A gate for some sensors or all, with a memory of what it rejects."""
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         self._memory = Memory(self.parameters, model, runs)
+
+    def weigh(self, reading: Reading) -> Weighed:
+        if reading.element in self._memory.judged:
+            return self.judge(reading)
+        return Weighed(reading.noise, np.ones_like(reading.residual), np.zeros(len(reading.residual), dtype=bool))
+
+    def judge(self, reading: Reading) -> Weighed:
+        """What becomes of a reading of a sensor that is judged."""
+        raise NotImplementedError
 
     def taken(self, reading: Reading, weighed: Weighed) -> None:
         """Where the rejected readings agree: the state's element that the reading speaks of goes there by their mean
@@ -57,7 +66,7 @@ class GatedKalman(_Reopened):
     summary = "EKF with an innovation gate and a rule that opens it again"
     source = "Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 5"
 
-    def weigh(self, reading: Reading) -> Weighed:
+    def judge(self, reading: Reading) -> Weighed:
         outside = reading.ratio > chdtri(1, 1 - self.parameters.level)
         rejected = self._judged(reading, outside)
         return Weighed(reading.noise, np.where(rejected, 0.0, 1.0), rejected)
@@ -74,7 +83,7 @@ class SoftGateKalman(_Reopened):
     summary = "EKF with a soft gate: one-step probabilistic data association"
     source = "Bar-Shalom and Tse, Automatica 11(5), 1975, with at most one reading"
 
-    def weigh(self, reading: Reading) -> Weighed:
+    def judge(self, reading: Reading) -> Weighed:
         p, beta = self.parameters, np.empty_like(reading.residual)
         association(reading.residual, reading.variance, reading.variance + p.size**2 * reading.noise, p.share, beta)
         rejected = self._judged(reading, beta < 0.5)

@@ -4,6 +4,7 @@ Without a way back a gate that has closed on the truth stays closed: the estimat
 
 from __future__ import annotations
 
+import json
 from typing import Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from .base import Reading
 class Reopening(Parameters):
     """What a gate with a way back is asked for."""
 
+    sensors: tuple[str, ...] = Field((), description="those that are judged; none: all")
     reopen: Literal["never", "median", "time"] = Field("median", description="how the gate opens again")
     memory: PositiveInt = Field(20, description="median: received readings looked back on")
     needed: PositiveInt = Field(14, description="median: how many of them must be rejected, near their median")
@@ -33,9 +35,20 @@ class Reopening(Parameters):
             used_with(self, name, "reopen", "median")
         for name in ("after", "together"):
             used_with(self, name, "reopen", "time")
+        if self.sensors and not {*self.together} <= {*self.sensors}:
+            raise ValueError(f"together must be among sensors = {json.dumps(self.sensors)}: others are never rejected")
         if self.needed > self.memory:
             raise ValueError(f"needed = {self.needed} cannot be more than memory = {self.memory}")
         return self
+
+
+def _elements(what: str, names: tuple[str, ...], model: DesignModel) -> list[int]:
+    """Places of the measurements called so. Raises InputError naming those that there are not."""
+    unknown = [name for name in names if name not in model.measurements]
+    if unknown:
+        raise InputError(f"{what}: there is no measurement {', '.join(unknown)}; allowed: "
+                         f"{', '.join(model.measurements)}")
+    return [model.measurements.index(name) for name in names]
 
 
 class Memory:
@@ -46,11 +59,8 @@ class Memory:
         self.parameters = parameters
         self.ring = np.full((parameters.memory if parameters.reopen == "median" else 0, model.ny, runs), np.nan)
         self.since = np.full((model.ny, runs), np.inf)
-        unknown = [name for name in parameters.together if name not in model.measurements]
-        if unknown:
-            raise InputError(f"together: there is no measurement {', '.join(unknown)}; allowed: "
-                             f"{', '.join(model.measurements)}")
-        self.together = [model.measurements.index(name) for name in parameters.together]
+        self.judged = _elements("sensors", parameters.sensors, model) or list(range(model.ny))
+        self.together = _elements("together", parameters.together, model)
 
     def opened(self, reading: Reading) -> Mask:
         """`time`: runs (S,) whose gate of this element stands open."""

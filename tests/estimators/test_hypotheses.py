@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,13 @@ from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, Measurement
 from railstate.scenarios.model import DesignModel, Mode, Modes
 from railstate.scenarios.randomness import Streams
+from scipy.stats import chi2
 
 from ..models import heard, whole
 from ..recordings import METRO, write_examples
+
+GATE = {"gate": ["gnss"], "level": 0.4, "after": 3.0}
+"""Rejects many a good fix, and opens after three seconds."""
 
 
 def odometry(runs: int = 2, variant: str = "wet-radar") -> tuple[Any, DesignModel]:
@@ -30,15 +35,17 @@ def odometry(runs: int = 2, variant: str = "wet-radar") -> tuple[Any, DesignMode
     return world, setting.design_model({}, world.initial_mean)
 
 
-def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """IMM of extended Kalman filters, full matrices, one run: mean (steps, nx), log-likelihood (steps,)."""
+def textbook(model: DesignModel, world: Any, run: int, steps: int, gated: int = -1
+             ) -> tuple[np.ndarray, np.ndarray, list[bool]]:
+    """IMM of extended Kalman filters, full matrices, one run: mean (steps, nx), log-likelihood (steps,). Readings of
+    element `gated` go through the gate `GATE` first: whether each was rejected."""
     assert model.modes is not None and model.modes.transition is not None
     models, T = [mode.model for mode in model.modes.modes], model.modes.transition
     values, vectors = np.linalg.eigh((T + T.T) / 2) if np.allclose(T, T.T) else np.linalg.eig(T)
     w = model.modes.prior.copy()
     x = [one.initial_mean[:, run:run + 1] for one in models]
     P = [one.initial_covariance[:, :, 0] for one in models]
-    means, logs = [], []
+    means, logs, rejected, since = [], [], [], math.inf
     for k in range(steps):
         step = world.step(k, world.initial_mean)
         gone, total = 0.0, 0.0
@@ -60,10 +67,20 @@ def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.n
                     F = one.transition_jacobian(x[j], u, interval)[:, :, 0]
                     Q = one.process_covariance(x[j], u, interval)[:, :, 0]
                     x[j], P[j] = one.transition(x[j], u, interval), F @ P[j] @ F.T + Q
-                got = np.flatnonzero(event.received[:, run])
+            got = np.flatnonzero(event.received[:, run])
+            told = Measurement(event.y[:, run:run + 1], event.received[:, run:run + 1], k + 1, number, 0.0,
+                               event.covariance[:, :, [run % event.covariance.shape[2]]])
+            if gated in got:  # all modes read it alike: it is the position
+                centre = sum(w[j] * x[j][0, 0] for j in range(len(w)))
+                spread = sum(w[j] * (P[j][0, 0] + (x[j][0, 0] - centre) ** 2) for j in range(len(w)))
+                variance = spread + model.measurement_covariance(told)[gated, gated, 0]
+                outside = (event.y[gated, run] - centre) ** 2 > chi2(1).ppf(GATE["level"]) * variance
+                now = (k + 1) * model.period
+                rejected.append(bool(outside and now - min(since, now) < GATE["after"] - 1e-9))
+                since = min(since, now) if outside else math.inf
+                got = got[got != gated] if rejected[-1] else got
+            for j, one in enumerate(models):
                 if len(got):
-                    told = Measurement(event.y[:, run:run + 1], event.received[:, run:run + 1], k + 1, number,
-                                       0.0, event.covariance[:, :, [run % event.covariance.shape[2]]])
                     H = one.measurement_jacobian(x[j], k + 1)[got, :, 0]
                     R = one.measurement_covariance(told)[np.ix_(got, got)][:, :, 0]
                     e = event.y[got, run] - one.measurement(x[j], k + 1)[got, 0]
@@ -78,7 +95,7 @@ def textbook(model: DesignModel, world: Any, run: int, steps: int) -> tuple[np.n
             gone += share
         means.append(sum(w[j] * x[j][:, 0] for j in range(len(w))))
         logs.append(total)
-    return np.array(means), np.array(logs)
+    return np.array(means), np.array(logs), rejected
 
 
 def follow(estimator: Estimator, model: DesignModel, world: Any, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +109,8 @@ def follow(estimator: Estimator, model: DesignModel, world: Any, steps: int) -> 
             estimator.predict(step.u, Interval(k + 1, step.start + gone * step.length, event.share * step.length,
                                                 event.share))
             gone = gone + event.share
-            found = estimator.update(Measurement(event.y, event.received, k + 1, number, 0.0, event.covariance))
+            found = estimator.update(Measurement(event.y, event.received, k + 1, number,
+                                                 step.start + gone * step.length, event.covariance))
             log = log + (found.log_likelihood if found is not None and found.log_likelihood is not None else 0.0)
         means.append(estimator.estimate().mean.copy())
         logs.append(log)
@@ -119,9 +137,21 @@ def test_it_is_the_textbook_s_loop(kind: str, tmp_path: Path) -> None:
     steps = min(420, world.steps)
     means, logs = follow(InteractingModels(), model, world, steps)
     for run in range(2):
-        wanted, wanted_logs = textbook(model, world, run, steps)
+        wanted, wanted_logs, _ = textbook(model, world, run, steps)
         np.testing.assert_allclose(means[:, :, run], wanted, rtol=0, atol=1e-8)
         np.testing.assert_allclose(logs[:, run], wanted_logs, rtol=0, atol=1e-6)
+
+
+def test_a_gate_before_the_modes() -> None:
+    world, model = odometry(2, "gnss-only")
+    means, logs = follow(InteractingModels(GATE), model, world, 500)
+    for run in range(2):
+        wanted, wanted_logs, rejected = textbook(model, world, run, 500, model.measurements.index("gnss"))
+        assert 3 < sum(rejected) < len(rejected) - 3
+        np.testing.assert_allclose(means[:, :, run], wanted, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(logs[:, run], wanted_logs, rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match="used with a gate only"):
+        InteractingModels({"after": 3.0})
 
 
 def test_on_a_grid_of_linear_models_it_is_the_grid_s_filter() -> None:

@@ -92,6 +92,23 @@ def gate(j, e, c, r, time):
     return r, float(e * e / (c + r) <= chi2(1).ppf(0.99)), None
 
 
+def position_gate(j, e, c, r, time):
+    return gate(j, e, c, r, time) if j == 0 else (r, 1.0, None)
+
+
+def opens_by_time():
+    """The gate that opens 0.6 s after the first of an unbroken row of rejections."""
+    since = {}
+
+    def weigh(j, e, c, r, time):
+        outside = not gate(j, e, c, r, time)[1]
+        opened = time - since.get(j, time) >= 0.6 - 1e-9
+        since.update({j: since.get(j, time)}) if outside else since.pop(j, None)
+        return r, float(opened or not outside), None
+
+    return weigh
+
+
 def soft(j, e, c, r, time):
     good = 0.95 * math.exp(-e * e / (c + r) / 2) / math.sqrt(c + r)
     wide = c + r + 400 * r
@@ -130,7 +147,9 @@ class SageHusa(Variational):
 
 
 CASES = [("huber", {}, lambda: huber), ("mcc", {}, lambda: mcc), ("student-t", {}, lambda: student),
-         ("gate", {"reopen": "never"}, lambda: gate), ("soft-gate", {"reopen": "never"}, lambda: soft),
+         ("gate", {"reopen": "never"}, lambda: gate),
+         ("gate", {"reopen": "never", "sensors": ["position"]}, lambda: position_gate),
+         ("gate", {"reopen": "time", "after": 0.6}, opens_by_time), ("soft-gate", {"reopen": "never"}, lambda: soft),
          ("adaptive-r", {}, Variational), ("adaptive-r", {"method": "sage-husa"}, SageHusa)]
 
 
