@@ -31,8 +31,9 @@ from ..telling.console import print_table
 from ..telling.figures.axes import Style
 from ..telling.figures.canvas import LIGHT
 from ..telling.figures.data import assign_styles
+from ..telling.markup import to_markdown
 from ..telling.rankings import records
-from ..telling.wording import bracket, number, plus_minus, ratio
+from ..telling.wording import bracket, number, plus_minus, ratio, value_words
 from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
 
 _MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "down": "v"}
@@ -51,7 +52,8 @@ def sweep(
     set_: Sets = [],  # noqa: B006
     plugin: Plugins = [],  # noqa: B006
 ) -> None:
-    """Run a scenario (its default variant unless one is named) at each value of a key."""
+    """Run a scenario (its default variant unless one is named) at each value of a key; its requirements go into one
+    table over all of them."""
     axes: dict[str, list[Any]] = {}
     for key, values in map(_axis, over):
         axes.setdefault(key, []).extend(item for item in values if item not in axes.get(key, []))
@@ -91,6 +93,7 @@ def sweep(
             print_table(bracket(f"{name}: {' '.join(pair)}", unit), _grid(part, list(axes), names, reasons),
                         ["± is half of the 95 % interval."])
             plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit, styles) if len(axes) == 1 else 0
+    _requirements(Store(folder), name, table, list(axes), names)
     for line in _broken(table, list(axes)):
         print(line)
     print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
@@ -146,6 +149,29 @@ def _grid(part: pd.DataFrame, keys: list[str], names: list[str],
     return pd.DataFrame([
         {**dict(zip(keys, point, strict=True)),
          **{name: found.get((point, name), reasons[point].get(name, "")) for name in names}} for point in reasons])
+
+
+def _requirements(store: Store, name: str, table: pd.DataFrame, keys: list[str], names: list[str]) -> None:
+    """Print which estimator meets which requirement at which point, and write it: requirements.md as printed,
+    requirements.csv with a line for each of them."""
+    part = table[table["kind"] == "requirement"]
+    if part.empty:
+        return
+    found: dict[tuple[Any, ...], dict[str, str]] = {}
+    for line in records(part):
+        mine = found.setdefault((line["quantity"], line["against"], *(line[key] for key in keys)), {})
+        mine[line["estimator"]] = f"{line['verdict']} {value_words(line)}".strip()
+    grid = pd.DataFrame([{"requirement": asked, "share asked for": least, **dict(zip(keys, point, strict=True)),
+                          **{label: mine.get(label, "") for label in names if label in {*part["estimator"]}}}
+                         for (asked, least, *point), mine in sorted(found.items(), key=lambda item: item[0][0])])
+    notes = ["Met, not met or undecided; share of runs or time that keep it, its 95 % interval.",
+             "A verdict alone may mislead: sizes of errors and widths of claims stand in requirements.csv."]
+    title = f"{name}: which estimator keeps what"
+    print_table(title, grid, notes)
+    store.write_text("requirements.md", to_markdown(title, grid, notes))
+    columns = {"estimator": "estimator", "quantity": "requirement", "against": "asked", "verdict": "verdict",
+               "value": "share", "low": "low", "high": "high", "runs": "runs", "deciding": "deciding", "note": "sizes"}
+    store.write_text("requirements.csv", part[[*keys, *columns]].rename(columns=columns).to_csv(index=False))
 
 
 def _axis(text: str) -> tuple[str, list[Any]]:

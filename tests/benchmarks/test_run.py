@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -301,6 +302,34 @@ def test_sweep_writes_rows_table_and_plots(railstate: Command) -> None:
     drawn = (railstate.folder / "swept" / "rmse-position.svg").read_text()
     assert LIGHT["c0"] in drawn and LIGHT["c1"] in drawn  # the report's colours, one for each estimator
     assert "rmse position" in done.out
+
+
+def test_a_sweep_over_several_keys_says_who_meets_which_requirement_where(railstate: Command) -> None:
+    asked = "".join(f'''
+[[requirements]]
+name = "{name}"
+form = "percentile"
+quantity = "position"
+percent = 95
+limit = {within}
+accept = 0.5
+''' for name, within in (("wide", 1e6), ("none", 1e-9)))
+    text = Path("cart.toml").read_text()
+    Path("cart.toml").write_text(text.replace("[estimators.half]", asked + "[estimators.half]", 1))
+    done = railstate("sweep", "cart.toml", "--plugin", "half.py", "--over", "channel.p=0.3,0.9", "--over",
+                     "time.period=1.0,2.0", "--runs", 12, "--estimators", "ekf,kalman", "--jobs", 1, "--out", "swept")
+    assert done.code == 0, done.err
+    table = pd.read_csv(railstate.folder / "swept" / "requirements.csv")
+    keys = ["requirement", "channel.p", "time.period", "estimator"]
+    met = {point: {"wide": "met", "none": "not met"}[str(point[0])] for point in itertools.product(
+        ("wide", "none"), (0.3, 0.9), (1.0, 2.0), ("ekf", "kalman"))}
+    assert table.set_index(keys)["verdict"].to_dict() == met
+    lines = (railstate.folder / "swept" / "requirements.md").read_text().splitlines()
+    grid = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    assert grid[0] == ["requirement", "share asked for", "channel.p", "time.period", "ekf", "kalman"]
+    assert len(grid) == 2 + 8 and all(row[4].startswith("met 100 %" if row[0] == "wide" else "not met 0 %")
+                                      for row in grid[2:])
+    assert "which estimator keeps what" in done.out
 
 
 def test_a_parameter_that_is_not_estimated_has_no_numbers(railstate: Command) -> None:
