@@ -1,6 +1,6 @@
 """The zonotopic set-membership filter: a zonotope of few generators that holds the state, cut by every reading's strip.
 
-Zonotope: x in c + H [-1, 1]^m. The gain is of least Frobenius norm of H; orders are reduced by boxes."""
+Zonotope: x in c + H [-1, 1]^m; its order is reduced by boxes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,20 @@ from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Parameters, Status, flag
 from ..kernels.core import kernel
 
+SHRINKS = 1.0 - 1e-9
+"""A cut has to take this much off the half-widths' product, more than rounding does."""
+OUTWARD = 1e-12
+"""Share of its parts by which a tightened strip is widened for rounding."""
+
 
 class ZonotopeParameters(Parameters):
     """Parameters of the zonotopic filter."""
 
     order: Annotated[PositiveInt, Field(
         description="most generators that are carried on, as a multiple of the number of states")] = 10
+    tight: Annotated[bool, Field(
+        description="strips are cut to the zonotope's own width first, and the cut of least half-widths is taken; "
+                    "false: always the gain of least Frobenius norm")] = True
     initial_sds: Annotated[PositiveFloat, Field(
         description="half-widths of the first box in standard deviations of P0")] = 1.0
 
@@ -30,20 +38,25 @@ class ZonotopeParameters(Parameters):
 class ZonotopicFilter(Estimator):
     """c^- = f(c, u), H^- = [A R(H), M kappa |N H|_1, G w_bar]; then for each reading j with its bound v_j the strip
 
-    |y_j - C_j x| <= v_j: l = H H' C_j' / (C_j H H' C_j' + v_j^2), c = c + l (y_j - C_j c), H = [(I - l C_j) H, l v_j],
-    which for all of them is Combastel's gain of least |H|_F. R keeps the longest generators, lengths in units of the
-    zonotope's half-widths, and puts a box round the rest. Claims the ellipsoid (sum a_j) sum h_j h_j' / a_j with a_j
-    those lengths, which holds the zonotope.
+    |y_j - C_j x| <= v_j: c = c + l (y_j - C_j c), H = [(I - l C_j) H, l v_j], which holds what is in both for every l.
+    l = H H' C_j' / (C_j H H' C_j' + v_j^2) is of least |H|_F, for all readings together Combastel's gain; it averages
+    readings, whose worst cases do not average out. tight: the strip is first cut to what the zonotope allows of C_j x,
+    then of this l, the one without v_j^2, C_j' / (C_j C_j') and no cut that one which leaves the least product of
+    half-widths.
 
-    A reading that the zonotope cannot explain says that a bound is wrong; its strip is then taken as wide as it takes
-    to touch. `inconsistency` (S,): the largest |y_j - C_j c| / (|C_j H|_1 + v_j) so far; bounds that hold keep it
-    under 1. Sensors without a finite bound are not used. Truths outside the bounds (Gaussian tails, a gradient step
-    between estimate and truth, a nonlinear sensor's curvature) are outside the guarantee."""
+    R keeps the longest generators, lengths in units of the zonotope's half-widths, and puts a box round the rest.
+    Claims the ellipsoid (sum a_j) sum h_j h_j' / a_j with a_j those lengths, which holds the zonotope.
+
+    A reading that the zonotope cannot explain says that a bound is wrong; it then stands alone, l = C_j' / (C_j C_j').
+    `inconsistency` (S,): the largest |y_j - C_j c| / (|C_j H|_1 + v_j) so far; bounds that hold keep it under 1.
+    Sensors without a finite bound are not used. Truths outside the bounds (Gaussian tails, a gradient step between
+    estimate and truth, a nonlinear sensor's curvature) are outside the guarantee."""
 
     family = "Set membership"
     summary = "zonotopic set-membership filter: bounded disturbance and noise, generators reduced"
-    source = ("Combastel, Automatica 55, 2015; reduction: Combastel, ECC 2003; Le, Stoica, Alamo, Camacho, Dumur, "
-              "Zonotopes, 2013")
+    source = ("Combastel, Automatica 55, 2015; reduction: Combastel, ECC 2003; strips: Alamo, Bravo, Camacho, "
+              "Automatica 41, 2005; Le, Stoica, Alamo, Camacho, Dumur, Zonotopes, 2013; tightened: Vicino, Zappa, "
+              "IEEE TAC 41, 1996")
     needs: ClassVar[tuple[str, ...]] = ("bounds", "transition_jacobian", "measurement_jacobian")
     claims = ("ellipsoid",)
     Parameters = ZonotopeParameters
@@ -98,7 +111,8 @@ class ZonotopicFilter(Estimator):
         C = np.array(model.measurement_jacobian(x, measurement.step), order="C")
         received = measurement.received & self._usable[:, None]
         residual = np.where(received, measurement.y - model.measurement(x, measurement.step), 0.0)
-        cut(self._x, self._H, self._count, self._keep, C, self._v, residual, received, self.inconsistency)
+        cut(self._x, self._H, self._count, self._keep, self.parameters.tight, C, self._v, residual, received,
+            self.inconsistency)
 
     def _ellipsoid(self) -> Array:
         enclose(self._H, self._count, self._Pi)
@@ -188,12 +202,26 @@ def grow(H, count, keep, A, M, N, kappa, g, moved, failed):  # pyright: ignore
 
 
 @kernel
-def cut(x, H, count, keep, C, v, residual, received, inconsistency):  # pyright: ignore
+def shrinkage(H, m, s, seen, gain, bar):  # pyright: ignore
+    """Product of the half-widths after a cut over that before it, of run s; seen (>= m,) = C_j H, gain (n,), bar v."""
+    size = 1.0
+    for i in range(H.shape[0]):
+        before, after = 0.0, abs(gain[i]) * bar
+        for j in range(m):
+            before += abs(H[i, j, s])
+            after += abs(H[i, j, s] - gain[i] * seen[j])
+        if before > 0.0:
+            size *= after / before
+    return size
+
+
+@kernel
+def cut(x, H, count, keep, tight, C, v, residual, received, inconsistency):  # pyright: ignore
     """x (n, S) and H (n, cap, S) cut by the strips of the readings received (ny, S), one after the other.
 
     C (ny, n, S or 1), v (ny,), residual (ny, S): y - h(x) at the x that is given."""
     n, ny = x.shape[0], received.shape[0]
-    seen, gain, moved = np.empty(H.shape[1]), np.empty(n), np.empty(n)
+    seen, gains, moved = np.empty(H.shape[1]), np.empty((3, n)), np.empty(n)
     for s in range(x.shape[1]):
         c, m = s if C.shape[2] > 1 else 0, count[s]
         moved[:] = 0.0
@@ -202,9 +230,10 @@ def cut(x, H, count, keep, C, v, residual, received, inconsistency):  # pyright:
                 continue
             if m == count[s]:
                 m = reduce(H, m, keep, s)
-            power, reach, left, bar = 0.0, 0.0, residual[l, s], v[l]
+            power, reach, left, bar, square = 0.0, 0.0, residual[l, s], v[l], 0.0
             for i in range(n):
                 left -= C[l, i, c] * moved[i]
+                square += C[l, i, c] ** 2
             for j in range(m):
                 seen[j] = 0.0
                 for i in range(n):
@@ -213,15 +242,28 @@ def cut(x, H, count, keep, C, v, residual, received, inconsistency):  # pyright:
                 reach += abs(seen[j])
             if left != 0.0:
                 inconsistency[s] = max(inconsistency[s], abs(left) / (reach + bar))
-            bar = max(bar, abs(left) - reach)
-            whole = power + bar * bar
-            if not whole > 0.0:
+            low, high = max(left - bar, -reach), min(left + bar, reach)
+            if tight and low <= high:
+                left, bar = 0.5 * (low + high), 0.5 * (high - low) + OUTWARD * (reach + bar)
+            if not power + bar * bar > 0.0:
                 continue
             for i in range(n):
                 total = 0.0
                 for j in range(m):
                     total += H[i, j, s] * seen[j]
-                gain[i] = total / whole
+                gains[0, i], gains[1, i] = total / (power + bar * bar), total / power if power > 0.0 else 0.0
+                gains[2, i] = C[l, i, c] / square
+            best = 2 if low > high else 0
+            if tight and low <= high:
+                best, least = -1, SHRINKS
+                for choice in range(3):
+                    size = shrinkage(H, m, s, seen, gains[choice], bar)
+                    if size < least:
+                        best, least = choice, size
+            if best < 0:
+                continue
+            gain = gains[best]
+            for i in range(n):
                 for j in range(m):
                     H[i, j, s] -= gain[i] * seen[j]
                 H[i, m, s] = gain[i] * bar
