@@ -7,7 +7,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -31,6 +31,7 @@ from ..telling.console import print_table
 from ..telling.figures.axes import Style
 from ..telling.figures.canvas import LIGHT
 from ..telling.figures.data import assign_styles
+from ..telling.marks import MARKS
 from ..telling.markup import to_markdown
 from ..telling.rankings import records
 from ..telling.wording import bracket, number, plus_minus, ratio, value_words
@@ -152,23 +153,28 @@ def _grid(part: pd.DataFrame, keys: list[str], names: list[str],
 
 
 def _requirements(store: Store, name: str, table: pd.DataFrame, keys: list[str], names: list[str]) -> None:
-    """Print which estimator meets which requirement at which point, and write it: requirements.md as printed,
+    """Print which estimator meets which requirement at which point, and write it: requirements.md with sizes of errors,
     requirements.csv with a line for each of them."""
     part = table[table["kind"] == "requirement"]
     if part.empty:
         return
-    found: dict[tuple[Any, ...], dict[str, str]] = {}
-    for line in records(part):
-        mine = found.setdefault((line["quantity"], line["against"], *(line[key] for key in keys)), {})
-        mine[line["estimator"]] = f"{line['verdict']} {value_words(line)}".strip()
-    grid = pd.DataFrame([{"requirement": asked, "share asked for": least, **dict(zip(keys, point, strict=True)),
-                          **{label: mine.get(label, "") for label in names if label in {*part["estimator"]}}}
-                         for (asked, least, *point), mine in sorted(found.items(), key=lambda item: item[0][0])])
-    notes = ["Met, not met or undecided; share of runs or time that keep it, its 95 % interval.",
-             "A verdict alone may mislead: sizes of errors and widths of claims stand in requirements.csv."]
+    labels_here = [label for label in names if label in {*part["estimator"]}]
+
+    def grid(cell: Callable[[Mapping[str, Any]], str]) -> pd.DataFrame:
+        found: dict[tuple[Any, ...], dict[str, str]] = {}
+        for line in records(part):
+            asked = f"{line['quantity']}, {100 * float(line['against']):g} %"
+            found.setdefault((asked, *(line[key] for key in keys)), {})[line["estimator"]] = cell(line)
+        return pd.DataFrame([{"requirement": asked, **dict(zip(keys, point, strict=True)),
+                              **{label: mine.get(label, "") for label in labels_here}}
+                             for (asked, *point), mine in sorted(found.items(), key=lambda item: item[0][0])])
+
     title = f"{name}: which estimator keeps what"
-    print_table(title, grid, notes)
-    store.write_text("requirements.md", to_markdown(title, grid, notes))
+    notes = ["✓ met, ✗ not met, ? undecided; the share of runs or time that keep it, its 95 % interval."]
+    print_table(title, grid(lambda line: f"{MARKS[line['verdict']].sign} {value_words(line)}".strip()),
+                [*notes, "A verdict alone may mislead: sizes of errors and widths of claims are in requirements.md."])
+    store.write_text("requirements.md", to_markdown(title, grid(lambda line: f"{MARKS[line['verdict']].sign} "
+                                                                f"{value_words(line)}; {line['note']}"), notes))
     columns = {"estimator": "estimator", "quantity": "requirement", "against": "asked", "verdict": "verdict",
                "value": "share", "low": "low", "high": "high", "runs": "runs", "deciding": "deciding", "note": "sizes"}
     store.write_text("requirements.csv", part[[*keys, *columns]].rename(columns=columns).to_csv(index=False))

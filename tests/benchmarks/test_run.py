@@ -326,9 +326,10 @@ accept = 0.5
     assert table.set_index(keys)["verdict"].to_dict() == met
     lines = (railstate.folder / "swept" / "requirements.md").read_text().splitlines()
     grid = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    assert grid[0] == ["requirement", "share asked for", "channel.p", "time.period", "ekf", "kalman"]
-    assert len(grid) == 2 + 8 and all(row[4].startswith("met 100 %" if row[0] == "wide" else "not met 0 %")
-                                      for row in grid[2:])
+    assert grid[0] == ["requirement", "channel.p", "time.period", "ekf", "kalman"]
+    assert len(grid) == 2 + 8 and all(
+        row[3].startswith("✓ 100 %" if row[0] == "wide, 50 %" else "✗ 0 %") and "; P95 over runs: p95" in row[3]
+        for row in grid[2:])
     assert "which estimator keeps what" in done.out
 
 
