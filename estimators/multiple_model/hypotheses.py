@@ -88,7 +88,7 @@ class InteractingModels(Estimator):
         self._mean, self._covariance = np.empty((model.nx, runs)), np.empty((model.nx, model.nx, runs))
         p = self.parameters
         rule = Reopening.model_validate({"reopen": "time", "after": p.after, "sensors": p.gate})
-        self._closed = Memory(rule, model, runs) if p.gate else None
+        self._closed = Memory(rule, model, runs, "gate") if p.gate else None
         self.rejected = np.zeros((model.ny, runs), dtype=bool) if p.gate else None
 
     def predict(self, u: Array, interval: Interval) -> None:

@@ -55,11 +55,12 @@ class Memory:
     """The rejections of a batch, element by element: a ring of the last residuals for `median` (NaN: was accepted), the
     time of the first of an unbroken row of rejections for `time`."""
 
-    def __init__(self, parameters: Reopening, model: DesignModel, runs: int) -> None:
+    def __init__(self, parameters: Reopening, model: DesignModel, runs: int, asked: str = "sensors") -> None:
+        """asked: what `sensors` is called where a user gives them."""
         self.parameters = parameters
         self.ring = np.full((parameters.memory if parameters.reopen == "median" else 0, model.ny, runs), np.nan)
         self.since = np.full((model.ny, runs), np.inf)
-        self.judged = _elements("sensors", parameters.sensors, model) or list(range(model.ny))
+        self.judged = _elements(asked, parameters.sensors, model) or list(range(model.ny))
         self.together = _elements("together", parameters.together, model)
 
     def opened(self, reading: Reading) -> Mask:

@@ -15,7 +15,7 @@ from railstate.estimators.multiple_model.hypotheses import InteractingModels
 from railstate.estimators.multiple_model.imm import InteractingMultipleModel
 from railstate.estimators.multiple_model.stacked import power_of
 from railstate.estimators.relocation import Relocation
-from railstate.scenarios.errors import Unsupported
+from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, Measurement
 from railstate.scenarios.model import DesignModel, Mode, Modes
@@ -150,6 +150,8 @@ def test_a_gate_before_the_modes() -> None:
         assert 3 < sum(rejected) < len(rejected) - 3
         np.testing.assert_allclose(means[:, :, run], wanted, rtol=0, atol=1e-8)
         np.testing.assert_allclose(logs[:, run], wanted_logs, rtol=0, atol=1e-6)
+    with pytest.raises(InputError, match="gate: there is no measurement radar; allowed: wheel-a"):
+        follow(InteractingModels({"gate": ["radar"]}), model, world, 1)
     with pytest.raises(ValueError, match="used with a gate only"):
         InteractingModels({"after": 3.0})
 

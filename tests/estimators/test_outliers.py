@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from railstate.estimators.registry import estimators
+from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, Measurement
 from railstate.scenarios.model import DesignModel
@@ -295,6 +296,10 @@ def test_the_time_rule_opens_after_its_time_and_together():
     alone, together = reached(), reached(together=("position", "speed"))
     assert (alone[51:65] > 20).all() and (alone[-10:] < 25).any()
     assert (together[60:] > 25).all()
+    with pytest.raises(ValueError, match="together must be among sensors"):
+        reached(sensors=["position"], together=["speed"])
+    with pytest.raises(InputError, match="sensors: there is no measurement sonar; allowed: position, speed"):
+        reached(sensors=["sonar"])
 
 
 def test_second_order_filter_on_a_square():
