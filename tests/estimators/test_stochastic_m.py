@@ -129,7 +129,7 @@ def test_log_likelihood_is_brute_force(setting: Braking, kind: type, form: str) 
         estimator.start(model, 2, streams(range(2))("estimator", "x"))
     full = pair[1]
     start, theta, n = full.cloud.x.copy(), full.cloud.theta.copy(), full.n
-    children, prior = full.family(modes)
+    children, prior = full.offspring(modes)
     for k in range(30):
         found = []
         for estimator in pair:
