@@ -108,6 +108,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         raise InputError(f"{where}: variants must be tables such as [variants.NAME]")
     mistakes: list[str] = []
     unfit: dict[str, list[str]] = {}
+    refused: InputError | None = None
     variants: dict[str, dict[str, Any]] = {}
     for variant, changes in named.items():
         if not re.fullmatch(LABEL, variant):
@@ -125,8 +126,12 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         if only and variant != only:
             variants[variant] = plain
             continue
-        for key, value in (overrides or {}).items():
-            merged = set_dotted(merged, key, value)
+        try:
+            for key, value in (overrides or {}).items():
+                merged = set_dotted(merged, key, value)
+        except InputError as error:  # such as faults of a name that this variant's have not
+            refused, unfit[variant] = refused or error, [str(error)]
+            continue
         merged = _located(merged, Path.cwd())
         found = validate(merged, where)
         if found and overrides and not validate(plain, where):
@@ -135,6 +140,8 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         prefix = f"variants.{variant}: " if changes else ""
         mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
         variants[variant] = merged
+    if refused and (not variants or only in unfit):
+        raise refused
     touched = {key.partition(".")[0] for key in overrides or ()}
     mistakes += _strays(variants.values(), where, touched) if not mistakes else []
     if not variants or only in unfit:

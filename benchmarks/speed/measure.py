@@ -122,7 +122,8 @@ def _minimums(sides: list[Side], repeats: int) -> tuple[list[float], list[Array]
 
 
 def _apart(a: Array, b: Array) -> float:
-    """Of the runs that both have."""
+    """Of the runs that both have; (n,) is of one run."""
+    a, b = (part.reshape(len(part), -1) for part in (a, b))
     runs = min(a.shape[1], b.shape[1])
     return float(np.abs(a[:, :runs] - b[:, :runs]).max())
 

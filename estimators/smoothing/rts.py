@@ -125,8 +125,8 @@ class RauchTungStriebel(Estimator):
             before = mean, covariance
             mean, covariance = event.mean.copy(), np.array(np.broadcast_to(event.covariance, shape), order="C")
             step_back(*before, later.predicted_mean, later.predicted, later.cross, later.still, mean, covariance)
-            if event.step != later.step:
-                yield event.step, Estimate(mean, covariance=covariance)
+            for step in range(later.step - 1, event.step - 1, -1):  # more than one where steps had no event at all
+                yield step, Estimate(mean, covariance=covariance)
 
 
 class FixedLag(RauchTungStriebel):

@@ -32,7 +32,7 @@ def trace_and_bounds(cell: CellResults) -> Canvas | None:
     (30), (31) hold. Other filters' covariances are bounded by none of them and are left out."""
     entries = cell.table["estimators"]
     labels = [label for label in cell.labels if (label, "trace-covariance") in cell.kept
-              and entries[label]["plugin"] == BOUNDED]
+              and entries.get(label, {}).get("plugin", label) == BOUNDED]
     bounds = covariance_bounds(cell) if labels else None
     if bounds is None:
         return None
