@@ -122,15 +122,17 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     started = perf_counter() - begun
     loop = Loop(world, estimator, scoring, own=model.own)
     active, counts, extremes = np.zeros(runs), dict[str, Array](), dict[str, Array]()
+    status = estimator.status.copy()  # as each run ended: what becomes of it later hangs on its company
     for step in loop.steps():
         scoring.k += 1
         active += step.active
+        np.copyto(status, estimator.status, where=step.active)
         for name, count in estimator.counters().items():
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)
         for name, value in estimator.extremes().items():
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
     loop.finish()
-    found = scoring.scorer.finish(estimator.status, estimator.reasons)
+    found = scoring.scorer.finish(status, estimator.reasons)
     bad = found.status != 0
     found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})
     found.curves["nis"], found.curves["nis-count"] = scoring.innovations.curve.T
