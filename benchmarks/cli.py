@@ -1,6 +1,6 @@
-"""The command line. Each command is a function of `commands/`; this module assembles them and turns errors into exits.
+"""The command line. Each command is a function of `commands/`, imported when it is called for: help comes at once.
 
-Exit codes: 0 done, 1 a check failed, 2 the input is wrong, 130 interrupted."""
+Exit codes: 0 done, 1 a check failed, 2 the input is wrong, 130 interrupted. This module turns errors into them."""
 
 from __future__ import annotations
 
@@ -10,41 +10,65 @@ import sys
 import threading
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_group
 
-from ..scenarios.errors import InputError
-from .commands.check import check
-from .commands.compare import compare
-from .commands.design import certify, design
-from .commands.inspect import inspect
-from .commands.new import app as new
-from .commands.replay import replay
-from .commands.report import plot, report
-from .commands.reproduce import reproduce
-from .commands.run import run
-from .commands.show import list_, schema, show
-from .commands.sweep import sweep
-from .commands.table import table
-from .commands.timing import timing
-from .commands.tune import tune_
-from .commands.verify import verify_
-from .isolation.process import end_idle
+from ..scenarios.errors import InputError, Interrupted
 from .isolation.server import worded
-from .studies.complete import Interrupted
+
+COMMANDS = {
+    "run": ("run", "run", "Run estimators on scenarios and print the tables."),
+    "list": ("show", "list_", "List scenarios and estimators."),
+    "show": ("show", "show", "Show a scenario resolved, or an estimator's parameters."),
+    "replay": ("replay", "replay", "Run one row again and compare it with the stored one."),
+    "sweep": ("sweep", "sweep", "Run a scenario at each value of a key."),
+    "tune": ("tune", "tune_", "Search an estimator's numbers on training runs."),
+    "design": ("design", "design", "Design estimators; print gains and certified bounds."),
+    "certify": ("design", "certify", "Put any gain through Theorem 1."),
+    "reproduce": ("reproduce", "reproduce", "Set our numbers beside the published ones."),
+    "timing": ("timing", "timing", "Measure speed side by side with peers."),
+    "report": ("report", "report", "Write DIR/report.html, one self-contained page."),
+    "plot": ("report", "plot", "Write the figures as files."),
+    "table": ("table", "table", "One table over settings for a paper."),
+    "check": ("check", "check", "Check that an estimator keeps the rules of the suite."),
+    "inspect": ("inspect", "inspect", "Say what is in a recorded trip, and map it."),
+    "compare": ("compare", "compare", "Compare B with A, paired over the same runs."),
+    "verify": ("verify", "verify_", "Compute a folder's tables and some of its rows anew."),
+    "schema": ("show", "schema", "Print the JSON schema of scenario files, for editors."),
+    "new": ("new", "app", "Write a package for an estimator or a scenario."),
+}
+"""A command's module in `commands/`, its function (or group) there, and its line in the list of all."""
+
+
+def load(name: str) -> TyperCommand | TyperGroup:
+    """A command as its module has it."""
+    module, attribute, _ = COMMANDS[name]
+    found: Any = getattr(import_module(f".commands.{module}", __package__), attribute)
+    holder = typer.Typer(rich_markup_mode=None)
+    if isinstance(found, typer.Typer):
+        holder.add_typer(found, name=name)
+    else:
+        holder.command(name)(found)
+    return get_group(holder).commands[name]  # pyright: ignore[reportReturnType]
+
+
+class Named(TyperCommand):
+    """A command that is known by its name, and imported when its words are read."""
+
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **extra: Any) -> Any:
+        return load(str(self.name)).make_context(info_name, args, *rest, **extra)
+
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
     invoke_without_command=True)
-for function, name in (
-        (run, "run"), (list_, "list"), (show, "show"), (replay, "replay"), (sweep, "sweep"), (tune_, "tune"),
-        (design, "design"), (certify, "certify"), (reproduce, "reproduce"), (timing, "timing"), (report, "report"),
-        (plot, "plot"), (table, "table"), (check, "check"), (inspect, "inspect"), (compare, "compare"),
-        (verify_, "verify"), (schema, "schema")):
-    app.command(name)(function)
-app.add_typer(new, name="new")
+for word, (_, _, line) in COMMANDS.items():
+    app.command(word, cls=Named, help=line)(lambda: None)
 
 
 @app.callback()
@@ -92,7 +116,9 @@ def main() -> None:
     except KeyboardInterrupt:
         raise SystemExit(130) from None
     finally:
-        end_idle()
+        process = sys.modules.get(f"{__package__}.isolation.process")
+        if process is not None:
+            process.end_idle()
         for number in kept:
             signal.signal(number, signal.SIG_DFL)
 

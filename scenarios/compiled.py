@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, njit, types  # pyright: ignore[reportPrivateImportUsage]
+from numba import carray, types  # pyright: ignore[reportPrivateImportUsage]
 from numba.extending import intrinsic
 
 from .arrays import Array, read_only
+from .machine_code import cfunc, njit
 from .measurement import Interval
 
 _NUMBERS = types.CPointer(types.float64)

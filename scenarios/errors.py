@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Iterator, Mapping
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
-from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
+if TYPE_CHECKING:  # the command line asks for the errors alone
+    from pydantic import BaseModel, ValidationError
+    from pydantic.fields import FieldInfo
 
 TAGS = ("kind", "form", "motion")
 """Keys that say which of several tables one is."""
@@ -23,6 +24,10 @@ class Infeasible(Exception):
     """A design problem has no (trustworthy) solution. Every run of the estimator gets a row with status `infeasible`.
 
     The message says at which parameters, which constraint family, and what to try."""
+
+
+class Interrupted(Exception):
+    """Ctrl-C during the work: the message says what is kept and how to go on. The command line exits with 130."""
 
 
 class Unsupported(Infeasible):
@@ -79,6 +84,8 @@ def _allowed(model: type[BaseModel], loc: tuple[int | str, ...]) -> str:
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """The tables in a type such as `dict[str, A | B]`."""
+    from pydantic import BaseModel
+
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for inner in get_args(annotation) for model in _models(inner)]

@@ -75,6 +75,24 @@ class Scenario:
 def load(name: str, overrides: Mapping[str, Any] | None = None, only: str = "") -> Scenario:
     """A scenario by built-in name or path of a TOML file, with `--set` overrides (dotted key -> value) on every
     variant, or on the one variant that is wanted. Raises InputError with all mistakes of the file."""
+    path, where, table = _read(name)
+    return parse(table, where, overrides, only, Path() if name in scenario_files() else path.parent)
+
+
+def outline(name: str) -> tuple[dict[str, Any], dict[str, bool]]:
+    """The default variant's table of a scenario as it is written, not checked, and the variants with whether they run
+    unless asked for. Raises InputError for a file that cannot be read."""
+    _, where, table = _read(name)
+    named = table.get("variants", {"default": {}})
+    try:
+        return merge(table, next(iter(named.values()))), {key: changes.get("default", True)
+                                                          for key, changes in named.items()}
+    except (AttributeError, StopIteration, TypeError):
+        raise InputError(f"{where}: variants must be tables such as [variants.NAME]") from None
+
+
+def _read(name: str) -> tuple[Path, str, dict[str, Any]]:
+    """A scenario's file, what messages call it, and its table. Raises InputError."""
     path = scenario_files().get(name)
     if path is None:
         path = Path(name)
@@ -88,12 +106,11 @@ def load(name: str, overrides: Mapping[str, Any] | None = None, only: str = "") 
                              f"{', '.join(scenario_files())}")
     where = name if name in scenario_files() else str(path)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return path, where, tomllib.loads(path.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{where}: not valid TOML: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: cannot be read: {error}") from None
-    return parse(table, where, overrides, only, Path() if name in scenario_files() else path.parent)
 
 
 def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None, only: str = "",

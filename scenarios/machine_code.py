@@ -1,80 +1,127 @@
-"""Where compiled machine code is kept: a folder named by the content of all that it was compiled from.
+"""numba's decorators, with the machine code of each module kept in a folder named by all that it was compiled from.
 
-numba looks only at the file that holds a function; code compiled from an older helper in another file must not run."""
+numba looks only at the file that holds a function; code compiled from an older helper in another file must not run. An
+edit has those modules compiled anew that import what was edited, and no others."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
-import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from shutil import rmtree
+from typing import Any
 
-PREFIX = "railstate-"
+from numba import cfunc as numba_cfunc
+from numba import njit as numba_njit
+from numba.core import config as numba_config
+
+config: Any = numba_config
+SUITE = Path(__file__).resolve().parent.parent
+FOLDER = "railstate"
 KEPT = 8
-"""How many folders of other versions are left in their place."""
+"""How many folders of other versions of a module are left in their place."""
 _IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 
 
-def key(*packages: Path) -> str:
-    """The folder's name: a hash of every module below the packages that names numba, and of all that these import."""
-    text = {path: path.read_text(encoding="utf-8") for package in packages for path in sorted(package.rglob("*.py"))}
-    taken = [path for path, code in text.items() if "numba" in code]
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """numba's njit."""
+    return lambda function: _decorated(function, numba_njit(**options))
+
+
+def cfunc(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """numba's cfunc."""
+    return lambda function: _decorated(function, numba_cfunc(*signature, **options))
+
+
+def _decorated(function: Callable[..., Any], decorator: Callable[..., Any]) -> Any:
+    with _kept_in(folder(Path(function.__code__.co_filename))):
+        return decorator(function)
+
+
+@contextmanager
+def _kept_in(where: Path | None) -> Iterator[None]:
+    """What is decorated meanwhile keeps its machine code there: numba asks for the place when it decorates."""
+    before, config.CACHE_DIR = config.CACHE_DIR, str(where or "")
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+@cache
+def folder(module: Path) -> Path | None:
+    """The folder of a module's machine code, in the first place that can be written: what NUMBA_CACHE_DIR says, the
+    user's cache, a temporary folder. None: nowhere."""
+    stem = ".".join(module.relative_to(SUITE).with_suffix("").parts) if module.is_relative_to(SUITE) else module.stem
+    return place(stem, key(module))
+
+
+def key(*modules: Path) -> str:
+    """A hash of modules and of all that they import from their own package or from packages beside it."""
+    taken = list(modules)
     for path in taken:
-        taken += [found for found in dict.fromkeys(_imported(path, text[path])) if found in text and found not in taken]
-    found = hashlib.sha256()
-    for path in sorted(taken):
-        found.update("\0".join([path.parent.name, path.name, text[path], ""]).encode())
-    return PREFIX + found.hexdigest()[:16]
+        taken += [found for found in _imported(path) if found not in taken]
+    return _hash(word for path in sorted(taken) for word in (path.parent.name, path.name, _text(path)))
 
 
-def _imported(path: Path, code: str) -> Iterator[Path]:
-    """Files that the relative imports at the top of a module may mean."""
-    for dots, name, names in _IMPORT.findall(code):
+def _hash(words: Iterable[str]) -> str:
+    return hashlib.sha256("\0".join(words).encode()).hexdigest()[:16]
+
+
+@cache
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@cache
+def _imported(path: Path) -> tuple[Path, ...]:
+    """The files that the relative imports at the top of a module mean, this one left out, which holds no kernel."""
+    found: list[Path] = []
+    for dots, name, names in _IMPORT.findall(_text(path)):
         module = path.parents[len(dots) - 1].joinpath(*filter(None, name.split(".")))
         for each in [module, *(module / word for word in re.findall(r"\w+", names))]:
-            yield each.with_suffix(".py")
-            yield each / "__init__.py"
+            found += [each.with_suffix(".py"), each / "__init__.py"]
+    return tuple(file for file in dict.fromkeys(found) if file != Path(__file__) and file.is_file())
 
 
-def use(name: str) -> Path | None:
-    """Make numba keep its machine code in a folder of this name, in the first place that can be written: what
-    NUMBA_CACHE_DIR says, the user's cache, a temporary folder. None: nowhere."""
+def place(stem: str, version: str) -> Path | None:
+    """The folder of a version of what is called so."""
     for place in _places():
-        folder = place / name
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            os.utime(folder)
-        except OSError:
-            continue
-        if not os.access(folder, os.W_OK | os.X_OK):
-            continue
-        os.environ["NUMBA_CACHE_DIR"] = str(folder)
-        if "numba" in sys.modules:
-            sys.modules["numba"].config.CACHE_DIR = str(folder)
-        _clear(place, folder)
-        return folder
+        made = place / FOLDER / f"{stem}-{version}"
+        with suppress(OSError):
+            new = not made.is_dir()
+            made.mkdir(parents=True, exist_ok=True, mode=0o700)
+            os.utime(made)
+            if os.access(made, os.W_OK | os.X_OK):
+                if new:
+                    _clear(made, stem)
+                return made
     return None
 
 
 def _places() -> Iterator[Path]:
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    if given:  # perhaps by a parent process that did the same
-        yield Path(given).parent if Path(given).name.startswith(PREFIX) else Path(given)
-    if os.environ.get("XDG_CACHE_HOME"):
-        yield Path(os.environ["XDG_CACHE_HOME"]) / "railstate"
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        if os.environ.get(name):
+            yield Path(os.environ[name])
     with suppress(RuntimeError):  # nobody's home
-        yield Path.home() / ".cache" / "railstate"
-    yield Path(tempfile.gettempdir()) / f"{PREFIX}{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
+        yield Path.home() / ".cache"
+    yield Path(tempfile.gettempdir()) / f"{FOLDER}-{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
 
 
-def _clear(place: Path, own: Path) -> None:
+def _clear(own: Path, stem: str) -> None:
     """Remove the folders of other versions but the KEPT ones used last."""
     with suppress(OSError):
-        others = [path for path in place.iterdir() if path.name.startswith(PREFIX) and path != own and path.is_dir()]
+        others = [path for path in own.parent.iterdir() if path.name.rpartition("-")[0] == stem and path != own]
         for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[KEPT:]:
             rmtree(path, ignore_errors=True)
+
+
+_suite = [path for name in ("scenarios", "estimators", "benchmarks") for path in sorted((SUITE / name).rglob("*.py"))]
+_stamps = [(path, path.stat()) for path in _suite]
+# a plug-in's own kernels may use any of the suite's
+config.CACHE_DIR = str(place("plug-ins", _hash(f"{path} {at.st_size} {at.st_mtime_ns}" for path, at in _stamps)) or "")

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from .arrays import Array, read_only
 from .compiled import Compiled, affine
 from .errors import InputError, Unsupported
+from .machine_code import njit
 from .measurement import Interval, Measurement, told
 
 

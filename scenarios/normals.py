@@ -5,7 +5,8 @@ Loops over arrays without branches, so that they vectorise: what NumPy's generat
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from .machine_code import njit
 
 kernel = njit(cache=True, error_model="numpy")
 

@@ -68,9 +68,9 @@ def _same_source(plan: Plan, out: str, key: str, label: str) -> None:
                          "--plugin FILE.py")
     if plan.catalogue.own(name):
         return
-    if plan.catalogue[name].hash != stored:
+    if plan.catalogue.source(name) != stored:
         raise InputError(f"{out}: {label} was made by a plug-in {name} of another source ({stored}; here "
-                         f"{plan.catalogue[name].hash}); replay needs the same one: --plugin FILE.py")
+                         f"{plan.catalogue.source(name)}); replay needs the same one: --plugin FILE.py")
 
 
 def _compared(again: pd.DataFrame, found: pd.Series[Any], stored: pd.DataFrame, out: str) -> str:

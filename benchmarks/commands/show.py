@@ -7,11 +7,11 @@ import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-import pandas as pd
 import typer
 
 from ...scenarios.augmented import Extra
 from ...scenarios.errors import InputError
+from ...scenarios.files import outline
 from ...scenarios.registry import scenario_files, settings
 from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
@@ -22,11 +22,13 @@ def list_() -> None:
     """List scenarios with their variants, and estimators with what they need and claim."""
     rows = []
     for name in scenario_files():
-        scenario, default = find_one(name)
-        config = scenario.setting(default).config
-        rows.append({"scenario": name, "about": config.title, "variants (first = default)": " ".join(scenario.variants),
-                     "estimators": " ".join(config.estimators)})
-    print_table("Scenarios", pd.DataFrame(rows))
+        table, variants = outline(name)
+        rows.append({"scenario": name, "about": table.get("title", ""),
+                     "variants": " ".join(variant for variant, usual in variants.items() if usual),
+                     "variants on request": " ".join(variant for variant, usual in variants.items() if not usual),
+                     "estimators": " ".join(table.get("estimators", {}))})
+    print_table("Scenarios", rows, ["A name alone means all its variants but those on request; where one is wanted, "
+                                    "the first."])
     catalogue, lines = Catalogue(), []
     for name in catalogue.names():
         try:
@@ -36,7 +38,7 @@ def list_() -> None:
         else:
             lines.append({"estimator": name, "about": found.summary, "needs": " ".join(found.needs) or "-",
                           "claims": " ".join(("mean", *found.claims))})
-    print_table("Estimators", pd.DataFrame(lines))
+    print_table("Estimators", lines)
 
 
 def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")]) -> None:
@@ -59,18 +61,18 @@ def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a T
     rows = [{"key": key, "value": json.dumps(value), "origin": _origin(key, config.origin)}
             for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
                                                                "estimators"}))]
-    print_table("", pd.DataFrame(rows))
-    print_table("", pd.DataFrame([
+    print_table("", rows)
+    print_table("", [
         {"estimator": label, "plug-in": entry.plugin, "parameters": json.dumps(entry.parameters) if entry.parameters
          else "", "told differently": json.dumps(entry.knowledge) if entry.knowledge else "",
          "extra states": json.dumps({extra: asked.model_dump(exclude_none=True)
                                      for extra, asked in entry.augment.items()}) if entry.augment else "",
          "runs by default": "yes" if entry.default else "no"}
-        for label, entry in config.estimators.items()]))
+        for label, entry in config.estimators.items()])
     offered = scenario.setting(variant).extras({})
     if offered:
         print_table("Extra states that an entry may ask for (augment = { NAME = { kind = .. } })",
-                    pd.DataFrame([_offer(name, extras) for name, extras in offered.items()]))
+                    [_offer(name, extras) for name, extras in offered.items()])
 
 
 def _offer(name: str, extras: tuple[Extra, ...]) -> dict[str, str]:
@@ -103,7 +105,7 @@ def _show_estimator(found: Described) -> None:
     if found.about:
         print(f"\n{found.about.strip()}\n")
     if found.parameters:
-        print_table("Parameters", pd.DataFrame(found.parameters))
+        print_table("Parameters", found.parameters)
     else:
         print("no parameters")
 

@@ -19,8 +19,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
-import pyarrow as pa
-
 from ...estimators.interface import Status
 from ...scenarios.errors import InputError
 from .server import TABLE, WORD, receive, send
@@ -130,7 +128,7 @@ class Isolation:
             return Ended(Status.timeout, f"did not finish within {limit:g} s")
         except (OSError, EOFError):
             return Ended(Status.crashed, self._why())
-        except (ValueError, TypeError, KeyError, IndexError, pa.ArrowException, MemoryError, RecursionError):
+        except (ValueError, TypeError, KeyError, IndexError, MemoryError, RecursionError):
             self.close()
             return Ended(Status.crashed, "the process running it answered nonsense")
         if left:
@@ -186,9 +184,14 @@ def _table(item: dict[str, Any], frames: list[bytes]) -> Any:
     """The table that a place in an answer stands for."""
     if item.keys() != {TABLE}:
         return item
-    with pa.ipc.open_stream(frames[1 + item[TABLE]]) as reader:
-        table = reader.read_all()
-    table.validate(full=True)
+    import pyarrow as pa
+
+    try:
+        with pa.ipc.open_stream(frames[1 + item[TABLE]]) as reader:
+            table = reader.read_all()
+        table.validate(full=True)
+    except pa.ArrowException as error:
+        raise ValueError("no table") from error
     return table
 
 

@@ -23,8 +23,8 @@ from ..isolation.process import IMPORT, Ended, Isolation, isolation
 
 @dataclass(frozen=True)
 class Described:
-    """An estimator in words. hash: of its source. parameters: a line each for `railstate show`. file: the loose file
-    it comes from ("": installed)."""
+    """An estimator in words. parameters: a line each for `railstate show`. hash: of a plug-in's source. file: the loose
+    file it comes from ("": installed)."""
 
     name: str
     summary: str
@@ -35,8 +35,8 @@ class Described:
     claims: tuple[str, ...]
     oracle: bool
     smoother: bool
-    hash: str
     parameters: tuple[dict[str, str], ...] = ()
+    hash: str = ""
     file: str = ""
 
 
@@ -51,17 +51,21 @@ def said(name: str, cls: type[Estimator]) -> dict[str, Any]:
          "about": item.description or ""} for key, item in cls.Parameters.model_fields.items())
     return asdict(Described(name, str(cls.summary), str(cls.family), str(cls.source), str(cls.__doc__ or ""),
                             names(cls.needs), names(cls.claims), bool(cls.oracle), cls.lag != 0,
-                            source_hash(cls.__module__), parameters))
+                            parameters))
 
 
 def said_by_file(path: str) -> list[dict[str, Any]]:
     """What the classes of a loose file say of themselves."""
-    return [said(name, cls) for name, cls in load_file(path).items()]
+    return [_said_apart(name, cls) for name, cls in load_file(path).items()]
 
 
 def said_by_installed(name: str) -> list[dict[str, Any]]:
     """What an installed plug-in says of itself."""
-    return [said(name, estimator_class(name, "plug-in"))]
+    return [_said_apart(name, estimator_class(name, "plug-in"))]
+
+
+def _said_apart(name: str, cls: type[Estimator]) -> dict[str, Any]:
+    return {**said(name, cls), "hash": source_hash(cls.__module__)}
 
 
 def checked_parameters(name: str, given: Mapping[str, Any], where: str, folder: str) -> dict[str, Any]:
@@ -111,6 +115,10 @@ class Catalogue:
             else:
                 raise InputError(f"there is no estimator \"{name}\"; installed: {', '.join(self.names())}")
         return self._known[name]
+
+    def source(self, name: str) -> str:
+        """Hash of an estimator's source."""
+        return source_hash(estimators()[name].__module__) if self.own(name) else self[name].hash
 
     def parameters(self, name: str, given: Mapping[str, Any], where: str, folder: Path = Path()) -> dict[str, Any]:
         """See `checked_parameters`."""

@@ -99,7 +99,7 @@ class Plan:
                     "scoring": scoring,
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
-                                "source": self.catalogue[entry.plugin].hash,
+                                "source": self.catalogue.source(entry.plugin),
                                 **entry.model_dump(include={"late", "told_faults", "augment"}, exclude_defaults=True)}
                         for label, entry in cell.entries.items()
                     },

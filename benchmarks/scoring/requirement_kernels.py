@@ -5,7 +5,8 @@ A run at a time, so that no batch changes a bit."""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ...scenarios.machine_code import njit
 
 
 @njit(cache=True)

@@ -5,8 +5,8 @@ They check nothing, know no masks but whole packets, keep runs in blocks in the 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ...scenarios.machine_code import njit
 from ...scenarios.railway.dynamics import climbs, damping, level
 
 BLOCK = 128

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from ...scenarios.errors import InputError
+from ...scenarios.errors import InputError, Interrupted
 from ...scenarios.registry import scenario_files
 from ...scenarios.source import source_hash
 from ..judging.table import summary, verdicts
@@ -31,10 +31,6 @@ from ..telling.rankings import cells_of
 from ..telling.sentences import caption
 from ..telling.tables import cell_table, outage_tables, window_tables
 from ..telling.wording import notes_of
-
-
-class Interrupted(Exception):
-    """Ctrl-C during a run: what was finished is in the folder and the same command goes on."""
 
 
 def default_folder(plan: Plan) -> Path:

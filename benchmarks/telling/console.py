@@ -13,18 +13,16 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
-
-import pandas as pd
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from .marks import ASCII
 from .wording import numeric
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WIDE, NARROWEST = 120, 40
 GAP = 2
@@ -59,13 +57,15 @@ def plain(text: str) -> str:
 
 def say(*pieces: Piece | str) -> None:
     """A line on standard output; colours on a terminal that has them, unless NO_COLOR asks for none."""
-    out = Console(width=10_000, highlight=False, markup=False, emoji=False, soft_wrap=True,
-                  no_color=None if sys.stdout.isatty() else True, legacy_windows=False)
     parts = [(piece, "") if isinstance(piece, str) else piece for piece in pieces]
     if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
         print("".join(text for text, _ in parts).rstrip())
-    else:
-        out.print(Text.assemble(*parts), end="\n")
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    out = Console(width=10_000, highlight=False, markup=False, emoji=False, soft_wrap=True, legacy_windows=False)
+    out.print(Text.assemble(*parts), end="\n")
 
 
 def wrapped(text: str, indent: str = "  ") -> None:
@@ -169,11 +169,15 @@ def _lines(cell: list[Piece], width: int) -> list[list[Piece]]:
     return [[(line, style)] for line in textwrap.wrap("".join(text for text, _ in cell), width, break_on_hyphens=False)]
 
 
-def print_table(title: str, frame: pd.DataFrame, notes: Sequence[str] = ()) -> None:
-    """A table of texts: words to the left and wrapped, numbers to the right."""
+def print_table(title: str, table: pd.DataFrame | Sequence[Mapping[str, Any]], notes: Sequence[str] = ()) -> None:
+    """A table of texts, a frame or a mapping per row: words to the left and wrapped, numbers to the right."""
+    if isinstance(table, Sequence):
+        columns = {name: [row[name] for row in table] for name in (table[0] if table else ())}
+    else:
+        columns = {name: table[name].astype(object).where(table[name].notna(), "") for name in table.columns}
     made = []
-    for name in frame.columns:
-        values = ["" if pd.isna(value) else str(value) for value in frame[name]]
+    for name, cells in columns.items():
+        values = [str(value) for value in cells]
         right = numeric(values)
         name_like = not made and max(map(len, values), default=0) <= NAME
         made.append(Column(str(name).split(" ") if right else [str(name)], [[(value, "")] for value in values], right,
@@ -208,6 +212,9 @@ def progress(total: int, unit: str) -> Iterator[Advance]:
         with _logged(total, unit) as logged:
             yield logged
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     parts = (TextColumn("{task.description:32.32}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} "
              + unit), TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     with Progress(*parts, console=Console(stderr=True), transient=True) as bar:

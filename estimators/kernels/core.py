@@ -5,9 +5,9 @@ Plain loops over the small indices, the innermost over runs: fast, and bit-ident
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from ...scenarios.compiled import call
+from ...scenarios.machine_code import njit
 
 # No fastmath and no BLAS: both would make a run's bits depend on its neighbours. error_model: division by zero gives
 # inf, as in NumPy, which keeps branches out of the inner loops.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import factorial, log
 
 import numpy as np
-from numba import njit
 
+from ...scenarios.machine_code import njit
 from .core import HALF_LOG_TURN
 from .factors import compose, decompose, sequential, shift
 

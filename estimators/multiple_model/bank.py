@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array
+from ...scenarios.machine_code import njit
 from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel, Grid, grid_of
 from ..interface import Estimate, Estimator, Innovation, Status, flag

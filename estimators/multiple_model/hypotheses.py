@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
-from scipy.special import chdtri
 
 from ...scenarios.arrays import Array, read_only
 from ...scenarios.errors import Unsupported
@@ -104,6 +103,8 @@ class InteractingModels(Estimator):
         self.rejected = rejected = np.zeros(measurement.received.shape, dtype=bool)
         if not measurement.received[memory.judged].any():
             return measurement
+        from scipy.special import chdtri
+
         self.estimate()
         x, P = self._mean, self._covariance
         h, predicted = model.measurement_jacobian(x, at), model.measurement(x, at)

@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field, model_validator
 
 from ...scenarios.arrays import Array
+from ...scenarios.machine_code import njit
 from ...scenarios.measurement import Interval, Measurement
 from ...scenarios.model import DesignModel, grid_of, whole_steps
 from ...scenarios.randomness import RunRandom

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field, PositiveFloat
-from scipy.special import chdtri
 
 from ...scenarios.arrays import Mask
 from ...scenarios.model import DesignModel
@@ -67,6 +66,8 @@ class GatedKalman(_Reopened):
     source = "Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 5"
 
     def judge(self, reading: Reading) -> Weighed:
+        from scipy.special import chdtri
+
         outside = reading.ratio > chdtri(1, 1 - self.parameters.level)
         rejected = self._judged(reading, outside)
         return Weighed(reading.noise, np.where(rejected, 0.0, 1.0), rejected)

@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Unsupported
@@ -64,6 +63,8 @@ def losses(model: DesignModel, p: float) -> Losses:
 
 def _settled(A: Array, Q: Array, p: float) -> Array:
     """X = (1 - p) A X A' + Q."""
+    from scipy.linalg import solve_discrete_lyapunov
+
     return solve_discrete_lyapunov(np.sqrt(1 - p) * A, Q)
 
 

@@ -8,16 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import (
-    CubatureKalmanFilter,
-    ExtendedKalmanFilter,
-    JulierSigmaPoints,
-    MerweScaledSigmaPoints,
-    UnscentedKalmanFilter,
-    spherical_radial_sigmas,
-)
 from pydantic import model_validator
-from scipy.stats import multivariate_normal
 
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Interval
@@ -36,6 +27,8 @@ class FilterpyFilter(PerRun):
     honours = ("covariance",)
 
     def likelihood_run(self, filter: Any, y: Array, got: Indices) -> float:
+        from scipy.stats import multivariate_normal
+
         return float(multivariate_normal.logpdf(filter.y.ravel(), cov=filter.S))
 
 
@@ -47,6 +40,8 @@ class FilterpyExtended(FilterpyFilter):
     needs = ExtendedKalman.needs
 
     def make(self, model: RunModel) -> Any:
+        from filterpy.kalman import ExtendedKalmanFilter
+
         filter = ExtendedKalmanFilter(model.nx, model.ny)
         filter.x, filter.P = model.x0, model.P0
         return filter
@@ -79,6 +74,8 @@ class FilterpyUnscented(FilterpyFilter):
     needs = UnscentedKalman.needs
 
     def make(self, model: RunModel) -> Any:
+        from filterpy.kalman import JulierSigmaPoints, MerweScaledSigmaPoints, UnscentedKalmanFilter
+
         p, n = self.parameters, model.nx
         kappa = p.kappa_for(n)
         points = (JulierSigmaPoints(n, kappa) if p.points == "julier"
@@ -110,6 +107,8 @@ class FilterpyCubature(FilterpyFilter):
     needs = CubatureKalman.needs
 
     def make(self, model: RunModel) -> Any:
+        from filterpy.kalman import CubatureKalmanFilter
+
         filter: Any = CubatureKalmanFilter(model.nx, model.ny, 1.0, model.h, model.f)
         filter.x, filter.P, filter.centre = np.zeros((model.nx, 1)), model.P0, model.x0
         return filter
@@ -123,6 +122,8 @@ class FilterpyCubature(FilterpyFilter):
         self._recentre(filter, moved)
 
     def update_run(self, filter: Any, model: RunModel, y: Array, got: Indices) -> None:
+        from filterpy.kalman import spherical_radial_sigmas
+
         centre = filter.centre
         guess = model.h(centre)[got]
         filter.hx = lambda x: model.h(centre + x)[got] - guess

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field, model_validator
 
 from ...scenarios.arrays import Array, Index
+from ...scenarios.machine_code import njit
 from ...scenarios.model import Grid
 from .. import mode_grid as transitions
 from ..interface import used_with

@@ -7,11 +7,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array, Index
 from ...scenarios.errors import Unsupported
+from ...scenarios.machine_code import njit
 from ...scenarios.model import Grid
 from ..kernels.modes import normalise
 from ..mode_grid import known_states

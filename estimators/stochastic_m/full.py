@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...scenarios.arrays import Array
+from ...scenarios.machine_code import njit
 from ...scenarios.model import Grid
 from ..kernels.modes import kalman_block, mixture, normalise, whitened
 from .select import collapse, distinct, select

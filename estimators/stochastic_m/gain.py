@@ -7,9 +7,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ...scenarios.arrays import Array
+from ...scenarios.machine_code import njit
 from ..kernels.core import HALF_LOG_TURN
 
 

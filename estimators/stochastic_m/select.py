@@ -5,8 +5,8 @@ Weights are logarithms throughout: a floor on weights would decide which particl
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ...scenarios.machine_code import njit
 from ..kernels.modes import exponentials
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from ..arrays import Array
 
@@ -40,6 +39,8 @@ class Affine:
 
 def discretise(response_time: float, pade_rate: float, period: float) -> Affine:
     """Exact discretisation of eq. (4) over `period` seconds (Euler is unstable at 1 s: 1 - 1/0.4 = -1.5)."""
+    from scipy.linalg import expm
+
     held = []
     for f in (0.0, 1.0):
         block = np.zeros((5, 5))

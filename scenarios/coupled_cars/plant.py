@@ -7,10 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from scipy.linalg import expm
 
 from ..arrays import Array
+from ..machine_code import njit
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,8 @@ class Matrices:
 def matrices(masses: Array, stiffness: float, length: float, driven: list[int], period: float) -> Matrices:
     """Eq. (5). masses (n,) kg; stiffness N/m; length: a coupler's free length from car centre to car centre (slack and
     car length of eq. (2)), m; driven: the cars with a driving force of their own; period s."""
+    from scipy.linalg import expm
+
     n = len(masses)
     couple = np.zeros((n, n))
     preload = np.zeros(n)

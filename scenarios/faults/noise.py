@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
-from scipy.special import gammaincinv
 
 from ..randomness import RunRandom
 from ..world import Sensing
@@ -54,6 +53,8 @@ class StudentT(Base):
             raise ValueError("student-t is not offered where readings are made as the loop goes")
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
+        from scipy.special import gammaincinv
+
         elements = readings.sensing.chosen(self.sensors)
         steps = len(readings.time)
         chance = random.uniform(0.0, 1.0, steps, len(elements))

@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..randomness import RunRandom
 from ..schema import Strict
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
+from ..machine_code import njit
 
 
 class Control(NamedTuple):

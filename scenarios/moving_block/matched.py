@@ -5,10 +5,10 @@ A train cannot leave the track, so its place is one number; readings, counts and
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from ..arrays import Array
 from ..channels import OneAtATime
+from ..machine_code import njit
 from ..measurement import Interval
 from ..model import DesignModel
 from ..setting import Matched

@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..measurement import Interval, PerRun
 
 

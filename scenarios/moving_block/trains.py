@@ -8,10 +8,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ..arrays import Array, Index
 from ..channels import Sent
+from ..machine_code import njit
 from ..observation import faulted
 from ..randomness import Streams
 from ..world import Event, Sensing, Step

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ..arrays import Array, Mask
+from ..machine_code import njit
 from ..railway.adhesion import Rail, friction_at, held, slip
 from ..railway.dynamics import GRAVITY, climb, level
 from .config import Driver, Plant

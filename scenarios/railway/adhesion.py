@@ -9,10 +9,10 @@ from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..randomness import RunRandom
 from ..schema import Strict
 from .dynamics import GRAVITY

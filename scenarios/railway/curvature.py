@@ -8,10 +8,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..units import KMH
 from .dynamics import Forces, damping, effect
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit  # pyright: ignore[reportPrivateImportUsage]
+from numba import carray  # pyright: ignore[reportPrivateImportUsage]
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..units import KMH
 
 GRAVITY = 9.81

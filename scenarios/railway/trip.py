@@ -9,11 +9,11 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..schema import Strict
 from ..units import KMH
 from .dynamics import GRAVITY, climb, effect, level, share

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -74,6 +73,8 @@ def _written(table: Table, name: str, cells: Cells) -> tuple[Array, str]:
     if some and not every:
         row = int(np.flatnonzero(~zoned.to_numpy().astype(bool))[0])
         raise ValueError(f"{table.path}: time \"{name}\": row {row + 1} has no zone, others have one")
+    import pandas as pd
+
     plain = pc.replace_substring(pc.replace_substring_regex(written, r"\s*UTC$", "Z"), ",", ".")
     try:
         stamps = pd.to_datetime(plain.to_pandas(), format="ISO8601", utc=True)

@@ -7,57 +7,64 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import pytest
 from railstate.scenarios import machine_code
 
-HELPER = "from numba import njit\n\n@njit(cache=True)\ndef helper(x):\n    return x + {}\n"
-CALLER = ("from numba import njit\n\nfrom .helper import helper\n\n@njit(cache=True)\ndef caller(x):\n"
-          "    return helper(x)\n")
+HELPER = ("from railstate.scenarios.machine_code import njit\n\n@njit(cache=True)\ndef helper(x):\n    return x + {}\n")
+CALLER = ("from railstate.scenarios.machine_code import njit\n\nfrom .helper import helper\n\n@njit(cache=True)\n"
+          "def caller(x):\n    return helper(x)\n")
 MAIN = """
-import sys
-from pathlib import Path
-from railstate.scenarios import machine_code
-machine_code.use(machine_code.key(Path("small")))
 from small.caller import caller
-print(caller(1.0), len(caller.stats.cache_hits))
+from small.alone import alone
+print(caller(1.0), len(caller.stats.cache_hits), len(alone.stats.cache_hits) if alone(1.0) else None)
 """
+PLUGIN = ("from railstate.estimators.kernels import tile_width\nfrom numba import njit\n\n@njit(cache=True)\n"
+          "def width(n):\n    return tile_width(n, n)\n")
 
 
-@pytest.fixture(autouse=True)
-def _as_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(numba.config, "CACHE_DIR", numba.config.CACHE_DIR)
-
-
-def run(folder: Path, **environment: str) -> list[str]:
-    done = subprocess.run([sys.executable, "-c", MAIN], cwd=folder, capture_output=True, text=True, check=True,
-                          env={**os.environ, **environment})
+def run(folder: Path, code: str) -> list[str]:
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True,
+                          env={**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")})
     return done.stdout.split()
 
 
-def test_an_edited_helper_in_another_file_is_compiled_anew(tmp_path: Path) -> None:
-    package, cache = tmp_path / "small", {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+def test_what_uses_an_edited_helper_in_another_file_is_compiled_anew_and_nothing_else(tmp_path: Path) -> None:
+    package = tmp_path / "small"
     package.mkdir()
     (package / "__init__.py").touch()
     (package / "caller.py").write_text(CALLER)
     (package / "helper.py").write_text(HELPER.format("1.0"))
-    assert run(tmp_path, **cache) == ["2.0", "0"]
-    assert run(tmp_path, **cache) == ["2.0", "1"]
+    (package / "alone.py").write_text(HELPER.format("1.0").replace("helper", "alone"))
+    assert run(tmp_path, MAIN) == ["2.0", "0", "0"]
+    assert run(tmp_path, MAIN) == ["2.0", "1", "1"]
     (package / "helper.py").write_text(HELPER.format("41.0"))
-    assert run(tmp_path, **cache) == ["42.0", "0"]
+    assert run(tmp_path, MAIN) == ["42.0", "0", "1"]
+
+
+def test_a_plug_ins_kernels_are_kept_where_any_edit_of_the_suite_counts(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(PLUGIN)
+    code = "import mine; mine.width(3); print(len(mine.width.stats.cache_hits))"
+    assert run(tmp_path, code) == ["0"]
+    assert run(tmp_path, code) == ["1"]
+    assert len(list((tmp_path / "cache" / "railstate").glob("plug-ins-*/*/mine.width-*.nbi"))) == 1
 
 
 def test_the_key_is_that_of_what_is_compiled(tmp_path: Path) -> None:
     package = tmp_path / "small"
     package.mkdir()
-    (package / "kernel.py").write_text("from numba import njit\nfrom .constants import HALF\n")
+    (package / "kernel.py").write_text("from ..machine_code import njit\nfrom .constants import HALF\n")
     (package / "constants.py").write_text("HALF = 0.5\n")
     (package / "words.py").write_text("HELLO = 'hello'\n")
-    before = machine_code.key(package)
+
+    def key() -> str:
+        machine_code._text.cache_clear()
+        return machine_code.key(package / "kernel.py")
+
+    before = key()
     (package / "words.py").write_text("HELLO = 'good day'\n")
-    assert machine_code.key(package) == before
+    assert key() == before
     (package / "constants.py").write_text("HALF = 0.25\n")
-    assert machine_code.key(package) != before
+    assert key() != before
 
 
 def test_the_first_place_that_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,23 +75,21 @@ def test_the_first_place_that_can_be_written(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "temporary").mkdir()
     (tmp_path / "home").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    name = machine_code.PREFIX + "0"
-    assert machine_code.use(name) == tmp_path / "home" / ".cache" / "railstate" / name
+    assert machine_code.place("kernel", "0") == tmp_path / "home" / ".cache" / "railstate" / "kernel-0"
     (tmp_path / "file").touch()
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setenv("HOME", str(tmp_path / "file"))
-    assert machine_code.use(name) == tmp_path / "temporary" / f"{machine_code.PREFIX}{os.getuid()}" / name
-    assert os.environ["NUMBA_CACHE_DIR"].endswith(name)
-    assert machine_code.use(name + "1") == tmp_path / "temporary" / f"{machine_code.PREFIX}{os.getuid()}" / (name + "1")
+    temporary = tmp_path / "temporary" / f"railstate-{os.getuid()}" / "railstate"
+    assert machine_code.place("kernel", "0") == temporary / "kernel-0"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "given"))
+    assert machine_code.place("kernel", "0") == tmp_path / "given" / "railstate" / "kernel-0"
 
 
-def test_old_folders_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_old_versions_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    (tmp_path / "another").mkdir()
-    for number in range(20):
-        folder = tmp_path / f"{machine_code.PREFIX}{number:02d}"
-        folder.mkdir()
-        os.utime(folder, (number, number))
-    assert machine_code.use(machine_code.PREFIX + "now") == tmp_path / (machine_code.PREFIX + "now")
-    names = sorted(path.name.removeprefix(machine_code.PREFIX) for path in tmp_path.iterdir())
-    assert names == ["12", "13", "14", "15", "16", "17", "18", "19", "another", "now"]
+    for name in ("another-00", *(f"kernel-{number:02d}" for number in range(20))):
+        folder = tmp_path / "railstate" / name
+        folder.mkdir(parents=True)
+        os.utime(folder, (int(name[-2:]), int(name[-2:])))
+    assert machine_code.place("kernel", "now") == tmp_path / "railstate" / "kernel-now"
+    names = sorted(path.name for path in (tmp_path / "railstate").iterdir())
+    assert names == ["another-00", *(f"kernel-{number}" for number in range(12, 20)), "kernel-now"]

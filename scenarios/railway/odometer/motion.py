@@ -4,8 +4,7 @@ States s, v, bias, travelled (m since the wheels were last read), and behind the
 
 from __future__ import annotations
 
-from numba import njit
-
+from ...machine_code import njit
 from ..dynamics import climb
 
 S, V, BIAS, TRAVELLED = range(4)
