@@ -44,15 +44,22 @@ class ExtendedKalman(Estimator):
         self._failed = np.zeros(runs, dtype=bool)
         self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))
         self._shared_variance = np.zeros((model.ny, 1))
+        self._innovation = Innovation(self._residual, self._variance)
+        f, F = model.transition, model.transition_jacobian
+        self._compiled = (f, F) if isinstance(f, Compiled) and isinstance(F, Compiled) and f.given is F.given else None
 
     def predict(self, u: Array, interval: Interval) -> None:
-        model, x, f, F = self.model, self._mean, self.model.transition, self.model.transition_jacobian
-        assert F is not None and model.process_covariance is not None
+        model, x = self.model, self._mean
+        assert model.process_covariance is not None
         q = np.ascontiguousarray(model.process_covariance(x, u, interval))
-        if isinstance(f, Compiled) and isinstance(F, Compiled) and f.given is F.given:
+        if self._compiled is not None:
             self._expand()
-            extended_predict(f.address, F.address, *f.arguments(u, interval)[1:], q, x, self._covariance)
+            f, F = self._compiled
+            address, u, seconds, data = f.arguments(u, interval)
+            extended_predict(address, F.address, u, seconds, data, q, x, self._covariance)
             return
+        f, F = model.transition, model.transition_jacobian
+        assert F is not None
         jacobian = np.ascontiguousarray(F(x, u, interval))
         self._mean = np.ascontiguousarray(f(x, u, interval))
         if jacobian.shape[2] > 1 or q.shape[2] > 1:
@@ -60,7 +67,7 @@ class ExtendedKalman(Estimator):
         congruence(jacobian, self._covariance, q, self._covariance)
 
     def update(self, measurement: Measurement) -> Innovation | None:
-        model, x, (y, received, at, *_) = self.model, self._mean, measurement
+        model, x, (y, received, at, _, _, _) = self.model, self._mean, measurement
         assert model.measurement_jacobian is not None and model.measurement_covariance is not None
         h = np.ascontiguousarray(model.measurement_jacobian(x, at))
         r = np.ascontiguousarray(model.measurement_covariance(measurement))
@@ -69,11 +76,11 @@ class ExtendedKalman(Estimator):
         if shared and (h.shape[2] > 1 or r.shape[2] > 1 or _correlated(r) or (received != received[:, :1]).any()):
             self._expand()
             shared = False
-        step = shared_kalman_update if shared else kalman_update
+        update = shared_kalman_update if shared else kalman_update
         variance = self._shared_variance if shared else self._variance
-        if step(x, self._covariance, y, predicted, received, h, r, self._residual, variance, self._failed):
+        if update(x, self._covariance, y, predicted, received, h, r, self._residual, variance, self._failed):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return Innovation(self._residual, variance)
+        return Innovation(self._residual, variance) if shared else self._innovation
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

@@ -57,6 +57,7 @@ class SigmaPointKalman(Estimator):
         self._estimate = Estimate(self._mean, covariance=self._covariance)
         self._failed = np.zeros(runs, dtype=bool)
         self._residual, self._variance = np.zeros((ny, runs)), np.zeros((ny, runs))
+        self._innovation = Innovation(self._residual, self._variance)
         self._everyone, self._none = np.arange(runs), np.empty((n, 0, 0))
         self._linear = self.redraw and model.linear_measurement and model.measurement_jacobian is not None
         self._propagated: Array | None = None
@@ -81,11 +82,11 @@ class SigmaPointKalman(Estimator):
             self._propagated = moved
 
     def update(self, measurement: Measurement) -> Innovation | None:
-        y, received, *_ = measurement
+        y, received, _, _, _, _ = measurement
         predicted, h, r = self._linearised(measurement)
         self._flag(kalman_update(self._mean, self._covariance, y, predicted, received, h, r, self._residual,
                                  self._variance, self._failed))
-        return Innovation(self._residual, self._variance)
+        return self._innovation
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

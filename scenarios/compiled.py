@@ -40,10 +40,11 @@ class Compiled:
 
     def arguments(self, u: Array, interval: Interval) -> tuple[int, Array, Array, Array]:
         """Address, u (nu, S), seconds (S,) and data, for `call`. Raises ValueError for inputs of another shape."""
-        if u.shape[0] != self.inputs:
-            raise ValueError(f"this model has {self.inputs} inputs, not {u.shape[0]}")
-        data, seconds = self.given(interval, u.shape[1])
-        return self.address, read_only(np.ascontiguousarray(u, dtype=float)), seconds, data
+        inputs, runs = u.shape
+        if inputs != self.inputs:
+            raise ValueError(f"this model has {self.inputs} inputs, not {inputs}")
+        data, seconds = self.given(interval, runs)
+        return self.address, read_only(np.ascontiguousarray(u, float)), seconds, data
 
     def __call__(self, x: Array, u: Array, interval: Interval) -> Array:
         points = np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], -1, x.shape[-1])

@@ -156,7 +156,19 @@ def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance
     transition, jacobian: compiled functions by address, and what both take (`compiled.SIGNATURE`)."""
     n, runs = mean.shape
     wide = tile_width(n, runs)
-    index, lengths = np.empty(wide, np.int64), seconds.reshape(1, runs)
+    lengths = seconds.reshape(1, runs)
+    if wide == runs:  # one tile: without a copy
+        cubes, moved = np.empty((2 * n, n, runs)), np.empty((n, runs))
+        f, half = cubes[:n], cubes[n:]
+        call(transition, mean, u, lengths, data, 1, runs, runs, moved)
+        call(jacobian, mean, u, lengths, data, 1, runs, runs, f)
+        _half(f, covariance, half, runs)
+        _symmetric_half(half, f, q, covariance, runs)
+        for i in range(n):
+            for s in range(runs):
+                mean[i, s] = moved[i, s]
+        return
+    index = np.empty(wide, np.int64)
     cubes, rows = np.empty((3 * n, n, wide)), np.empty((2 * n + 1 + u.shape[0], wide))
     p, f, half = cubes[:n], cubes[n:2 * n], cubes[2 * n:]
     x, moved, times, inputs = rows[:n], rows[n:2 * n], rows[2 * n:2 * n + 1], rows[2 * n + 1:]

@@ -27,6 +27,18 @@ def receivers(received):
 
 
 @kernel
+def _everyone(received):
+    """Whether every run received something."""
+    for s in range(received.shape[1]):
+        some = False
+        for j in range(received.shape[0]):
+            some |= received[j, s]
+        if not some:
+            return False
+    return True
+
+
+@kernel
 def innovate(y, predicted, received, out, width):
     """out := y - predicted where received, 0 elsewhere (there y is not used: it may be NaN). All (ny, >= width)."""
     for j in range(y.shape[0]):
@@ -103,13 +115,39 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, residual, vari
     r (ny, ny, S or 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over
     the elements received. residual, variance (ny, S): the innovation of each element received, in turn. failed (S,) is
     set, and the run's numbers NaN, where the covariance is indefinite or an innovation variance is not positive."""
-    index = receivers(received)
-    bad = 0
+    runs = mean.shape[1]
+    if tile_width(mean.shape[0], runs) == runs and r.shape[2] == 1 and _everyone(received) and _diagonal(r, 0):
+        return _update_all(mean, covariance, y, predicted, received, h, r, residual, variance, failed)
+    index, bad = receivers(received), 0
     for diagonal in (True, False):
         part = _of_kind(index, r, diagonal)
         if len(part):
             bad += _update_kind(mean, covariance, y, predicted, received, h, r, residual, variance, failed, part,
                                 diagonal)
+    return bad
+
+
+@kernel
+def _update_all(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
+    """`kalman_update` of all runs, which are one tile and share a diagonal r (ny, ny, 1): without a copy of them."""
+    n, ny, runs = mean.shape[0], y.shape[0], mean.shape[1]
+    noise, rows, flags = np.empty((ny, 1)), np.empty((ny * n + n + 3, runs)), np.zeros((ny + 1, runs), np.bool_)
+    gain, work, got, lost = rows[:ny * n].reshape((ny, n, runs)), rows[ny * n:], flags[:ny], flags[ny]
+    for j in range(ny):
+        noise[j, 0] = r[j, j, 0]
+        for s in range(runs):
+            got[j, s] = received[j, s]
+            residual[j, s] = y[j, s] - predicted[j, s] if got[j, s] else 0.0
+    decompose(covariance, lost, work, runs)
+    sequential(covariance, h, noise, got, gain, variance, lost, work, runs)
+    shift(mean, residual, h, gain, work, runs)
+    compose(covariance, work, runs)
+    bad = 0
+    for s in range(runs):
+        if lost[s]:
+            failed[s] = True
+            bad += 1
+            _spoil(mean, covariance, s)
     return bad
 
 
