@@ -28,17 +28,12 @@ from ..running.runner import Machinery
 from ..store.folder import Store
 from ..studies.complete import complete
 from ..telling.console import print_table
-from ..telling.figures.axes import Style
-from ..telling.figures.canvas import LIGHT
-from ..telling.figures.data import assign_styles
 from ..telling.marks import MARKS
 from ..telling.markup import to_markdown
 from ..telling.rankings import records
+from ..telling.report.sweep import DESCRIPTION, VALUES, Sweep
 from ..telling.wording import bracket, number, plus_minus, ratio, value_words
 from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
-
-_MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "down": "v"}
-"""The report's markers as matplotlib names them."""
 
 
 def sweep(
@@ -82,22 +77,28 @@ def sweep(
         reasons[tuple(_plain(item) for item in point.values())] = _reasons(rows)
         shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
     names = list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))
-    styles = assign_styles([names])
     table = pd.concat(summaries, ignore_index=True)
-    Store(folder).write_text("sweep.csv", table.to_csv(index=False))
+    told = Sweep(name, list(axes), [list(pair) for pair in _wanted(metric, table) or shown], names, runs, seed,
+                 {" | ".join(map(str, point)): why for point, why in reasons.items()}, command)
+    Store(folder).write_text(VALUES, table.to_csv(index=False))
+    Store(folder).write_text(DESCRIPTION, told.written())
     plots = 0
-    for pair in _wanted(metric, table) or shown:
-        part = table[(table["metric"] == pair[0]) & (table["quantity"] == pair[1]) & (table["runs"] > 0)
-                     & table["kind"].isin(["error", "value", "share"])]
+    for pair in told.shown:
+        part = told.part(table, *pair)
         if not part.empty:
             unit = part["shown_unit"].iloc[0]
             print_table(bracket(f"{name}: {' '.join(pair)}", unit), _grid(part, list(axes), names, reasons),
                         ["± is half of the 95 % interval."])
-            plots += _plot(folder, part, next(iter(axes)), " ".join(pair), unit, styles) if len(axes) == 1 else 0
+            canvas = told.figure(part)
+            if canvas:
+                for suffix in ("svg", "png"):
+                    canvas.save(folder / f"{'-'.join(pair)}.{suffix}")
+                plots += 1
     _requirements(Store(folder), name, table, list(axes), names)
     for line in _broken(table, list(axes)):
         print(line)
-    print(f"{len(table)} summary lines in {folder / 'sweep.csv'}" + (f", {plots} plots beside it" if plots else ""))
+    print(f"{len(table)} summary lines in {folder / VALUES}" + (f", {plots} plots beside it" if plots else "")
+          + f"; railstate report {folder} makes a page of it")
 
 
 def _design_seconds(plan: Plan) -> pd.DataFrame:
@@ -200,31 +201,3 @@ def _reasons(rows: pd.DataFrame) -> dict[str, str]:
         good = (part["status"] == "ok").any()
         out[str(estimator)] = "" if good else f"{part['status'].iloc[0]}: {part['reason'].iloc[0]}"
     return out
-
-
-def _plot(folder: Path, part: pd.DataFrame, key: str, label: str, unit: str, styles: dict[str, Style]) -> int:
-    """Each estimator's mean with its 95 % interval against the swept value, in the colours of the report."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(6.5, 3.4), layout="constrained")
-    numeric = pd.to_numeric(part[key], errors="coerce").notna().all()
-    for estimator, mine in part.groupby("estimator", sort=False):
-        x = pd.to_numeric(mine[key]) if numeric else mine[key].astype(str)
-        style = styles[str(estimator)]
-        value, low, high = (mine[name] * mine["factor"] for name in ("value", "low", "high"))
-        axes.plot(x, value, color=LIGHT[style.colour], linestyle=(0, style.dash) if style.dash else "solid",
-                  marker=_MARKERS[style.marker], markersize=3.5, linewidth=1.2, label=estimator)
-        axes.fill_between(x, low, high, color=LIGHT[style.colour], alpha=0.2, linewidth=0)
-    if part["value"].min() > 0 and part["value"].max() / part["value"].min() > 30:
-        axes.set_yscale("log")
-    axes.set_xlabel(key)
-    axes.set_ylabel(bracket(label, unit))
-    axes.grid(alpha=0.3)
-    figure.legend(loc="outside right upper", fontsize=7, frameon=False, handlelength=3)
-    for suffix in ("svg", "png"):
-        figure.savefig(folder / f"{label.replace(' ', '-')}.{suffix}", dpi=150)
-    pyplot.close(figure)
-    return 1

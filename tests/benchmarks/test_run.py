@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -331,6 +332,23 @@ accept = 0.5
         row[3].startswith("✓ 100 %" if row[0] == "wide, 50 %" else "✗ 0 %") and "; P95 over runs: p95" in row[3]
         for row in grid[2:])
     assert "which estimator keeps what" in done.out
+    assert railstate("report", "swept").code == 0
+    [first] = re.findall('<table class="sortable" data-name="who keeps what">(.*?)</table>',
+                         (railstate.folder / "swept" / "report.html").read_text(), re.S)
+    page = [[re.sub("<[^>]+>", "", cell).replace("\u202f", " ").strip() for cell in re.findall(
+        "<t[hd].*?</t[hd]>", line, re.S)] for line in re.findall("<tr>(.*?)</tr>", first, re.S)]
+    assert page[0] == grid[0] and [row[:3] for row in page[1:]] == [row[:3] for row in grid[2:]]
+    for row, line in zip(page[1:], grid[2:], strict=True):  # the same shares and sizes of errors in both
+        assert [cell.replace(" ", "") for cell in row[3:]] == [
+            cell.replace("; P95 over runs: ", "").replace("]", "]%").replace(" ", "") for cell in line[3:]]
+
+
+def test_a_damaged_sweep_is_one_message(railstate: Command) -> None:
+    Path("swept").mkdir()
+    for text in ("{", "[]", '{"name": "a"}'):
+        Path("swept/sweep.json").write_text(text)
+        done = railstate("report", "swept")
+        assert done.code == 2 and "sweep.json" in done.err and "Traceback" not in done.err
 
 
 def test_a_parameter_that_is_not_estimated_has_no_numbers(railstate: Command) -> None:

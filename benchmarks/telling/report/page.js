@@ -36,8 +36,8 @@ for (const table of document.querySelectorAll("#matrix, table.sortable"))
   [...table.tHead.rows[0].cells].forEach((head, column) => head.querySelector("button").addEventListener("click", () =>
     sortBy(table, column, head.getAttribute("aria-sort") === "ascending")));
 const matrix = document.getElementById("matrix");
-document.getElementById("sort").addEventListener("change", (event) => sortBy(matrix, Number(event.target.value), false));
-matrix.addEventListener("keydown", (event) => {
+document.getElementById("sort")?.addEventListener("change", (event) => sortBy(matrix, Number(event.target.value), false));
+matrix?.addEventListener("keydown", (event) => {
   const step = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowDown: [0, 1], ArrowUp: [0, -1] }[event.key];
   if (!step || !event.target.matches("a")) return;
   event.preventDefault();

@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from ....scenarios.errors import InputError
@@ -23,6 +23,7 @@ from ..marks import MARKS
 from ..rankings import Cell
 from ..sentences import over_all, required
 from ..wording import counted
+from . import sweep
 from .matrix import anchor, families_in_words, matrix
 from .published import Paper, papers, sentence
 from .sections import chip, section
@@ -33,7 +34,7 @@ def write_report(folder: str | Path, out: str | Path | None = None, published: M
     """Write `out` (None: report.html in the folder) and return its path. published: what published.json
     holds, where there is one. Raises InputError where the folder holds no results or the page cannot be written."""
     path = Path(out) if out else Path(folder) / "report.html"
-    page = render(load_results(folder), published)
+    page = render_sweep(folder) if sweep.is_sweep(folder) else render(load_results(folder), published)
     try:
         write_whole(path, page)
     except OSError as error:
@@ -44,24 +45,41 @@ def write_report(folder: str | Path, out: str | Path | None = None, published: M
 
 def render(results: Results, published: Mapping[str, Any] | None = None) -> str:
     """The page's HTML."""
-    here = files("railstate.benchmarks.telling.report")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["nbsp"] = lambda text: str(text).replace(" %", "\u202f%").replace(" ±", "\u00a0±")
-    template = environment.from_string(here.joinpath("page.jinja").read_text(encoding="utf-8"))
-    colours = {name: "".join(f"--{key}:{value};" for key, value in palette.items() if key[1:].isdigit())
-               for name, palette in (("light", LIGHT), ("dark", DARK))}
     cells = [cell.cell for found in results.scenarios.values() for cell in found]
     view = matrix(cells)
     told = papers(published) if published is not None else []
-    return template.render(
-        css=Markup(here.joinpath("page.css").read_text(encoding="utf-8")),
-        script=Markup(here.joinpath("page.js").read_text(encoding="utf-8")),
-        light=Markup(colours["light"]), dark=Markup(colours["dark"]), head=headline(results),
-        words=_first_words(cells, int(results.manifest["configuration"]["runs"]), told), matrix=view, chip=chip,
-        marks=MARKS,
+    return laid_out(
+        "page.jinja", head=headline(results), matrix=view, marks=MARKS,
+        words=_first_words(cells, int(results.manifest["configuration"]["runs"]), told),
         families=families_in_words(cells, results.manifest["estimators"], view.families),
         sections=[section(results, name, found) for name, found in results.scenarios.items()],
         published=told, facts=facts(results))
+
+
+def render_sweep(folder: str | Path) -> str:
+    """The HTML of a sweep's page."""
+    swept, table = sweep.load(folder)
+    over = " and ".join(swept.keys)
+    return laid_out("sweep.jinja", sweep=swept, tables=sweep.tables(swept, table),
+                    question=f"{swept.name}: which estimator at which {over}?",
+                    head=f"{counted(len(swept.lost), 'point')}, {len(swept.estimators)} estimators, "
+                         f"{swept.runs} runs each, seed {swept.seed} · railstate")
+
+
+def laid_out(name: str, **parts: Any) -> str:
+    """A page by its template, with the looks that all pages share."""
+    def text(file: str) -> str:
+        return here.joinpath(file).read_text(encoding="utf-8")
+
+    here = files("railstate.benchmarks.telling.report")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+                              loader=FunctionLoader(text))
+    environment.filters["nbsp"] = lambda text: str(text).replace(" %", "\u202f%").replace(" ±", "\u00a0±")
+    light, dark = (Markup("".join(f"--{key}:{value};" for key, value in palette.items() if key[1:].isdigit()))
+                   for palette in (LIGHT, DARK))
+    environment.globals["chip"] = chip
+    return environment.get_template(name).render(css=Markup(text("page.css")), script=Markup(text("page.js")),
+                                                 light=light, dark=dark, **parts)
 
 
 def _first_words(cells: Sequence[Cell], runs: int, told: list[Paper]) -> list[tuple[str, str]]:

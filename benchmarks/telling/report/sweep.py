@@ -1,0 +1,157 @@
+"""The page of a sweep: which estimator keeps which requirement at which point, and each metric over the swept keys.
+
+From the sweep's own two files, sweep.json (what was swept) and sweep.csv (the verdicts at each point)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+
+from ....scenarios.errors import InputError
+from ..figures.axes import Style
+from ..figures.canvas import Canvas
+from ..figures.data import assign_styles
+from ..figures.swept import over_key
+from ..marks import Line, drawn, shade
+from ..rankings import records
+from ..wording import bracket, counted, number, percent, plus_minus, ratio_of
+from .sections import Entry, Table, chip
+
+DESCRIPTION = "sweep.json"
+VALUES = "sweep.csv"
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep as it is told. name: scenario and variant; keys swept; shown: (metric, quantity) to be told; estimators
+    in order; lost: at a point ("a | b" of its values), why an estimator has no number; command: that made it."""
+
+    name: str
+    keys: list[str]
+    shown: list[list[str]]
+    estimators: list[str]
+    runs: int
+    seed: int
+    lost: dict[str, dict[str, str]]
+    command: str
+
+    def written(self) -> str:
+        """The text of sweep.json."""
+        return json.dumps(asdict(self), indent=1) + "\n"
+
+    def styles(self) -> dict[str, Style]:
+        """How its estimators look in all its figures."""
+        return assign_styles([self.estimators])
+
+    def points(self) -> list[tuple[str, ...]]:
+        """The swept values, as text, in order."""
+        return [tuple(point.split(" | ")) for point in self.lost]
+
+    def part(self, table: pd.DataFrame, metric: str, quantity: str) -> pd.DataFrame:
+        """The lines of a metric that have a value."""
+        return table[(table["metric"] == metric) & (table["quantity"] == quantity) & (table["runs"] > 0)
+                     & table["kind"].isin(["error", "value", "share"])]
+
+    def figure(self, part: pd.DataFrame) -> Canvas | None:
+        """A metric over the key; None where several were swept."""
+        if part.empty or len(self.keys) > 1:
+            return None
+        metric, quantity, unit = (str(part[name].iloc[0]) for name in ("metric", "quantity", "shown_unit"))
+        return over_key(part, self.keys[0], bracket(f"{metric} {quantity}", unit), self.styles())
+
+
+def is_sweep(folder: str | Path) -> bool:
+    """Whether a folder is a sweep's."""
+    return (Path(folder) / DESCRIPTION).is_file()
+
+
+def load(folder: str | Path) -> tuple[Sweep, pd.DataFrame]:
+    """What a sweep's folder holds. Raises InputError naming the file that is not what a sweep writes."""
+    path = Path(folder) / DESCRIPTION
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        missing = [item.name for item in fields(Sweep) if item.name not in found]
+        if missing:
+            raise ValueError(f"{', '.join(missing)} is missing")
+        sweep = Sweep(**{item.name: found[item.name] for item in fields(Sweep)})
+        path = Path(folder) / VALUES
+        table = pd.read_csv(path, keep_default_na=False, na_values=[""],
+                            dtype={**dict.fromkeys(sweep.keys, str), "note": str, "verdict": str})
+        need = {"kind", "metric", "quantity", "estimator", "value", "low", "high", "factor", "runs", *sweep.keys}
+        if need - {*table.columns}:
+            raise ValueError(f"has no column {', '.join(sorted(need - {*table.columns}))}")
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: not as railstate sweep writes it: {error}") from None
+    return sweep, table.fillna({"note": "", "verdict": ""})
+
+
+def tables(sweep: Sweep, table: pd.DataFrame) -> list[tuple[str, str, Table, Markup | str]]:
+    """(name, what its first column is, table, figure or nothing): requirements first, then each metric shown."""
+    found: list[tuple[str, str, Table, Markup | str]] = []
+    asked = table[table["kind"] == "requirement"]
+    if len(asked):
+        found.append(("who keeps what", "requirement", _requirements(sweep, asked), ""))
+    for metric, quantity in sweep.shown:
+        part = sweep.part(table, metric, quantity)
+        if not part.empty:
+            canvas, unit = sweep.figure(part), str(part["shown_unit"].iloc[0])
+            caption = (bracket(f"{metric} of {quantity}", unit) + " at each point, half of the 95 % interval, verdict "
+                       "among the estimators of that point.")
+            found.append((f"{metric} {quantity}", sweep.keys[0],
+                          _over(sweep, records(part), sweep.points(), [], _measured, caption),
+                          Markup(canvas.svg(inline=True)) if canvas else ""))
+    return found
+
+
+def _requirements(sweep: Sweep, part: pd.DataFrame) -> Table:
+    lines = [{**line, "requirement": f"{line['quantity']}, {100 * float(line['against']):g} %"}
+             for line in records(part)]
+    names = sorted({line["requirement"] for line in lines})
+    points = [(name, *point) for name in names for point in sweep.points()]
+    table = _over(sweep, lines, points, ["requirement"], _kept, "Share of the runs (or of the time) that keep each "
+                  "requirement, and whether that meets what is asked; under it 95th percentiles "
+                  "over the runs of what counts there: a verdict alone may mislead.")
+    met = {label: sum(line["verdict"] == "met" for line in lines if line["estimator"] == label)
+           for label in sweep.estimators}
+    best = [label for label, count in met.items() if count == max(met.values()) and count]
+    if best:
+        table.notes.append(f"Met most often, in {counted(max(met.values()), 'case')} of {len(points)}: "
+                           f"{', '.join(best)}.")
+    return table
+
+
+def _over(sweep: Sweep, lines: list[dict[str, Any]], points: list[tuple[str, ...]], ahead: list[str],
+          entry: Callable[[Line], Entry], caption: str) -> Table:
+    """A line a point, a column an estimator; `ahead` stands before the keys."""
+    keys = [*ahead, *sweep.keys]
+    found: dict[tuple[str, ...], dict[str, Entry]] = {}
+    for line in lines:
+        found.setdefault(tuple(str(line[key]) for key in keys), {})[line["estimator"]] = entry(line)
+    labels = [label for label in sweep.estimators if any(label in mine for mine in found.values())]
+    heads: list[tuple[Markup | str, str, bool]] = [(key, key, False) for key in [*keys[1:], *labels]]
+    out: list[tuple[str, list[Entry]]] = []
+    for point in points:
+        mine, why = found.get(point, {}), sweep.lost.get(" | ".join(point[len(ahead):]), {})
+        out.append((point[0], [*(Entry(value, value) for value in point[1:]), *(
+            mine.get(label, Entry(Markup("<small>{}</small>").format(why.get(label, "")))) for label in labels)]))
+    return Table(heads, out, caption)
+
+
+def _kept(line: Mapping[str, Any]) -> Entry:
+    interval = f"[{number(100 * line['low'])}, {number(100 * line['high'])}] %"
+    said = Markup("{} {}<small>{}</small>").format(chip(line["verdict"], percent(line["value"])), interval,
+                                                   line["note"].removeprefix("P95 over runs: "))
+    return Entry(said, f"{line['value']:.6g}")
+
+
+def _measured(line: Line) -> Entry:
+    verdict = drawn(line) if line["kind"] == "error" else ""
+    mark = chip(verdict, ratio_of(line) if verdict in ("worse", "undecided", "tie", "best") else "", shade(line))
+    return Entry(Markup("{} {}").format(plus_minus(line), mark if verdict else ""),
+                 f"{line['value'] * line['factor']:.6g}")
