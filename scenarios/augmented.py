@@ -87,7 +87,7 @@ def augmented(model: DesignModel, extras: Sequence[Extra]) -> DesignModel:
         process_covariance=parts.process_covariance if given[2] else None,
         input_jacobian=None,
         initial_mean=np.concatenate([model.initial_mean, np.repeat([[extra.mean] for extra in extras], runs, axis=1)]),
-        initial_covariance=start, linear=parts.linear(), bounds=parts.bounds(), inclusion=None,
+        initial_covariance=start, linear=parts.linear(), bounds=parts.bounds(), inclusion=None, densities=None,
         modes=None if model.modes is None else replace(model.modes, grid=None, modes=tuple(
             replace(mode, model=augmented(mode.model, extras)) for mode in model.modes.modes)),
         performance=None if model.performance is None else

@@ -13,6 +13,7 @@ import numpy as np
 
 from .arrays import Array, read_only
 from .compiled import Compiled, affine
+from .densities import Densities
 from .errors import InputError, Unsupported
 from .machine_code import njit
 from .measurement import Interval, Measurement, told
@@ -141,6 +142,7 @@ class DesignModel:
     measurement_covariance(measurement): (ny, ny, S or 1), PD: what the sensors tell, else the model's own (`told`).
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
+    densities: noise that is not Gaussian, for particle filters; its moments are those of the covariances.
     appended: how many states stand behind the setting's own (`augmented`); those are not scored and steer nothing.
     linear_measurement: promises measurement(x, step) = H(step) x + constant, with one measurement_jacobian for every x,
     by which sigma-point filters then update exactly. Transition and its Jacobian may be `Compiled`.
@@ -169,6 +171,7 @@ class DesignModel:
     input_jacobian: Callable[[Array, Array, Interval], Array] | None = None
     appended: int = 0
     linear_measurement: bool = False
+    densities: Densities | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError for functions of the first edition, which took a step and a portion of it."""

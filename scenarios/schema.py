@@ -57,13 +57,24 @@ class Augment(Strict):
     instead: Annotated[float, Field(ge=0, le=1)] | None = None
 
 
+class Tuned(Strict):
+    """How an entry's numbers were found, as `railstate tune` writes it. variant: on which; untuned: label of the entry
+    that it was before; runs: on how many training runs; train: the metrics of the objective there, of the tuned entry
+    and the untuned."""
+
+    variant: Label
+    untuned: str
+    runs: PositiveInt
+    train: Annotated[dict[str, tuple[float, float]], Field(min_length=1)]
+
+
 class EstimatorEntry(Strict):
     """One estimator of the scenario under its own label: which plug-in, its parameters, what it is told differently.
 
     knowledge overrides the scenario's [knowledge] for this entry only. augment: extra states of those that the setting
     offers, by name. late: what becomes of packets that come late: `drop`, `as-new` (taken for fresh ones) or `rewind`
     (taken at their stamp, all since once more). told_faults: it is told which readings are faulty, and gets none of
-    them: a yardstick. default = false: run only when asked for."""
+    them: a yardstick. default = false: run only when asked for. tuned: where its numbers come from a search."""
 
     plugin: str
     parameters: dict[str, Any] = {}
@@ -73,6 +84,7 @@ class EstimatorEntry(Strict):
     told_faults: bool = False
     default: bool = True
     note: str = ""
+    tuned: Tuned | None = None
 
 
 class ScenarioConfig(Strict):

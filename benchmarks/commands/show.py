@@ -16,6 +16,7 @@ from ...scenarios.registry import scenario_files, settings
 from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
 from ..telling.console import print_table
+from .options import Sets, overrides
 
 
 def list_() -> None:
@@ -41,15 +42,23 @@ def list_() -> None:
     print_table("Estimators", lines)
 
 
-def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")]) -> None:
+def show(
+    name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")],
+    set_: Sets = [],  # noqa: B006
+) -> None:
     """Show a scenario resolved, or an estimator's parameters."""
+    changes = overrides(set_)
     catalogue = Catalogue()
     if name in catalogue.names():
+        if changes:
+            raise InputError(f"--set {next(iter(changes))}: {name} is an estimator; a scenario's keys can be set")
         _show_estimator(catalogue[name])
         return
     try:
-        scenario, variant = find_one(name)
+        scenario, variant = find_one(name, changes)
     except InputError as error:
+        if changes:
+            raise
         raise InputError(f"{error}\nestimators: {', '.join(catalogue.names())}") from None
     config = scenario.setting(variant).config
     print(f"{scenario.name}/{variant}: {config.title}\nsource: {config.source}")
@@ -67,7 +76,8 @@ def show(name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a T
          else "", "told differently": json.dumps(entry.knowledge) if entry.knowledge else "",
          "extra states": json.dumps({extra: asked.model_dump(exclude_none=True)
                                      for extra, asked in entry.augment.items()}) if entry.augment else "",
-         "runs by default": "yes" if entry.default else "no"}
+         "runs by default": "yes" if entry.default else "no",
+         "origin": config.origin.get(f"estimators.{label}", "")}
         for label, entry in config.estimators.items()])
     offered = scenario.setting(variant).extras({})
     if offered:

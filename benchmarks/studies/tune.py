@@ -7,19 +7,24 @@ from __future__ import annotations
 import copy
 import json
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from ...scenarios.arrays import Array
 from ...scenarios.errors import InputError
 from ...scenarios.files import Scenario
+from ..planning.catalogue import Catalogue
 from ..planning.plan import make_plan
 from ..running.result import joined
 from ..running.runner import Machinery, run
-from .search import Axis, Found, search
+from .deadline import Overdue, within
+from .entries import put
+from .search import Axis, Constraint, Found, search
 
 TRAINING = 1_000_000_007
 """How far the seed of the training runs lies from that of the table's."""
@@ -27,33 +32,68 @@ CONSTRAINTS = ("nees", "nis", "coverage", "whiteness")
 """What is right at a value of its own, so that neither its least nor its greatest is any aim."""
 GREATER = ("log-likelihood", "trains-per-hour")
 """What is the better the greater it is."""
+PATIENCE, SHORTEST = 20.0, 10.0
+"""Where no limit is given, an evaluation may take so many times as long as the untuned entry, and at least so many
+seconds."""
 
 
 @dataclass(frozen=True)
 class Scored:
-    """An entry on some runs. loss: what is minimised; values: of each metric of the objective, as the tables have it;
-    sd: standard error of the loss where it is a single metric, else NaN; lost: runs without a number."""
+    """An entry on some runs. loss: what is minimised; values, sds: of each metric of the objective, as the tables have
+    it, with its standard error; pulls (runs,): of each run on the logarithm of the loss, whose mean is 0; lost: runs
+    without a number; broken: by how much constraints are."""
 
     loss: float
     values: tuple[float, ...]
-    sd: float
-    lost: int
+    sds: tuple[float, ...]
+    pulls: Array = field(repr=False)
+    lost: int = 0
+    broken: float = -1.0
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """entry: as a scenario file has it. train, test: scores by "tuned" and "untuned"."""
+    """entry: as a scenario file has it. train, test: scores by "tuned", "untuned" and what stands beside.
+    evaluations: of the search, in their order, for the manifest."""
 
     entry: dict[str, Any]
     found: Found
     train: dict[str, Scored]
     test: dict[str, Scored]
+    evaluations: list[dict[str, Any]]
+    limit: float
+
+    def gap(self, name: str) -> tuple[float, float]:
+        """Test loss over training loss, less 1, with its standard error: the runs of both are independent."""
+        return self._gap(self.test[name].pulls, self.train[name].pulls, name)
+
+    def added(self) -> tuple[float, float]:
+        """What tuning adds to the gap: that of the tuned entry less that of the fixed, untuned one on the same runs."""
+        (tuned, _), (fixed, _) = self.gap("tuned"), self.gap("untuned")
+        test, train = (_difference(scores["tuned"].pulls, scores["untuned"].pulls)
+                       for scores in (self.test, self.train))
+        error = self._gap(test, train, "tuned")[1]
+        return tuned - fixed, error
+
+    def _gap(self, test: Array, train: Array, name: str) -> tuple[float, float]:
+        scores = self.test[name].loss, self.train[name].loss
+        size = abs(scores[0] / scores[1]) if scores[1] else math.nan
+        return scores[0] / scores[1] - 1 if scores[1] else math.nan, size * math.hypot(_error(test), _error(train))
+
+
+def _error(pulls: Array) -> float:
+    return float(pulls.std(ddof=1) / len(pulls)**0.5) if len(pulls) > 1 else math.nan
+
+
+def _difference(a: Array, b: Array) -> Array:
+    return a - b if len(a) == len(b) else np.array([math.nan])
 
 
 @dataclass(frozen=True)
 class Task:
     """What is tuned: a label of a scenario's variant. fixed: overrides of the scenario. objective: (metric, quantity)
-    pairs, of which the geometric mean counts."""
+    pairs, of which the geometric mean counts. subject_to: what an evaluation must keep. beside: labels that are shown
+    with it. limit: seconds that an evaluation may take; 0: PATIENCE times the untuned entry's."""
 
     scenario: Scenario
     name: str
@@ -64,48 +104,71 @@ class Task:
     runs: int
     seed: int
     machinery: Machinery
+    catalogue: Catalogue
+    subject_to: tuple[Constraint, ...] = ()
+    beside: tuple[str, ...] = ()
+    limit: float = 0.0
 
-    def entry(self) -> dict[str, Any]:
-        """The untuned entry as the file has it. Raises InputError."""
+    def entry(self, label: str) -> dict[str, Any]:
+        """An entry as the file has it, or of an installed or loose estimator by its name. Raises InputError."""
         entries = self.scenario.variants[self.variant]["estimators"]
-        if self.label not in entries:
-            raise InputError(f"--estimator {self.label}: no such estimator in {self.scenario.where}; allowed: "
-                             f"{', '.join(entries)}")
-        return copy.deepcopy(dict(entries[self.label]))
+        if label in entries:
+            return {key: copy.deepcopy(value) for key, value in entries[label].items() if key != "tuned"}
+        if label in self.catalogue.names():
+            return {"plugin": label}
+        raise InputError(f"--estimator {label}: no such estimator in {self.scenario.where}; allowed: "
+                         f"{', '.join(entries)}, or the name of an installed estimator")
 
-    def score(self, entry: Mapping[str, Any], training: bool) -> Scored:
+    def score(self, entry: Mapping[str, Any], training: bool, label: str = "") -> Scored:
         """The entry on the training runs or the table's. Raises InputError for what the scenario does not score."""
-        plan = make_plan([f"{self.name}/{self.variant}"], only=[self.label], runs=self.runs,
+        label = label or self.label
+        plan = make_plan([f"{self.name}/{self.variant}"], only=[label], runs=self.runs,
                          seed=self.seed + (TRAINING if training else 0),
                          overrides={**self.fixed, **self.scenario.setting(self.variant).split(training),
-                                    f"estimators.{self.label}": dict(entry)})
+                                    f"estimators.{label}": dict(entry)}, catalogue=self.catalogue)
         rows = joined([result.rows for result in run(plan, {}, self.machinery)]).to_pandas().sort_values("run")
         fine = rows[rows["status"] == "ok"]
         lost = len(rows) - len(fine)
         if fine.empty:
-            return Scored(math.inf, (math.nan,) * len(self.objective), math.nan, lost)
-        values, logs, sd = [], [], math.nan
+            nothing = (math.nan,) * len(self.objective)
+            return Scored(math.inf, nothing, nothing, np.array([math.nan]), lost)
+        values, sds, logs, pulls = [], [], [], np.zeros(len(fine))
         for metric, quantity in self.objective:
-            column = next((name for name in rows.columns if name.startswith(f"{metric}:{quantity}:")), None)
-            if column is None:
-                known = sorted({name.rpartition(":")[0] for name in rows.columns if name.count(":") == 2})
-                raise InputError(f"--objective {metric}:{quantity}: not among what {self.label} is scored by here; "
-                                 f"allowed: {', '.join(item for item in known if aim(item))}")
-            each = fine[column].to_numpy(dtype=float)
+            each = self._column(fine, metric, quantity, "--objective")
             each = each**2 if metric == "rmse" else each
-            mean, error = float(each.mean()), float(each.std(ddof=1) / len(each)**0.5) if len(each) > 1 else math.nan
-            value, sd = (mean**0.5, 0.5 * error / mean**0.5) if metric == "rmse" else (mean, error)
+            mean = float(each.mean())
+            value, power = (mean**0.5, 0.5) if metric == "rmse" else (mean, 1.0)
+            pull = power * (each - mean) / mean if mean else np.full(len(each), math.nan)
             values.append(value)
-            sign = -1.0 if metric in GREATER else 1.0
-            logs.append(sign * value if len(self.objective) == 1 else sign * math.log(value))
+            sds.append(abs(value) * _error(pull))
+            pulls += pull / len(self.objective)
+            logs.append((-value if metric in GREATER else value) if len(self.objective) == 1 else
+                        math.log(value) if value > 0 else -math.inf)
         loss = logs[0] if len(logs) == 1 else math.exp(float(np.mean(logs)))
-        return Scored(math.inf if lost else loss, tuple(values), sd if len(values) == 1 else math.nan, lost)
+        broken = max((one.broken(self._kept(fine, one)) for one in self.subject_to), default=-1.0)
+        return Scored(math.inf if lost else loss, tuple(values), tuple(sds), pulls, lost, broken)
+
+    def _column(self, rows: pd.DataFrame, metric: str, quantity: str, flag: str) -> Array:
+        column = next((name for name in rows.columns if name.startswith(f"{metric}:{quantity}:")), None)
+        if column is None:
+            known = sorted({name.rpartition(":")[0] for name in rows.columns if name.count(":") == 2})
+            raise InputError(f"{flag} {metric}:{quantity}: not among what {self.label} is scored by here; allowed: "
+                             f"{', '.join(item for item in known if flag != '--objective' or aim(item))}")
+        return rows[column].to_numpy(dtype=float)
+
+    def _kept(self, rows: pd.DataFrame, one: Constraint) -> float:
+        """What a constraint is about: a mean over the runs; NEES over its dimension, as tables have it."""
+        each = self._column(rows, one.metric, one.quantity, "--subject-to")
+        if one.metric == "nees":
+            each = each / rows["nees_states"].to_numpy(dtype=float)
+        return float(each.mean())
 
 
 def tune(task: Task, axes: Sequence[Axis], budget: int) -> Tuned:
     """Search on the training runs, then try the tuned and the untuned entry on both sets. Raises InputError."""
-    untuned = task.entry()
-    knowledge = json.loads(task.scenario.setting(task.variant).config.knowledge.model_dump_json())
+    untuned = task.entry(task.label)
+    knowledge = json.loads(task.scenario.setting(task.variant).resolve_knowledge({}).model_dump_json())
+    log: list[dict[str, Any]] = []
 
     def told(values: Mapping[str, Any]) -> dict[str, Any]:
         entry = copy.deepcopy(untuned)
@@ -113,51 +176,57 @@ def tune(task: Task, axes: Sequence[Axis], budget: int) -> Tuned:
             put(entry, key, value, {"knowledge": knowledge})
         return entry
 
-    found = search(axes, lambda values: task.score(told(values), training=True).loss, budget)
+    begun = perf_counter()
+    train = {"untuned": task.score(untuned, training=True)}
+    limit = task.limit or max(SHORTEST, PATIENCE * (perf_counter() - begun))
+
+    def evaluated(values: Mapping[str, Any]) -> tuple[float, float]:
+        begun = perf_counter()
+        try:
+            with within(limit):
+                scored = task.score(told(values), training=True)
+        except Overdue:
+            log.append({"values": dict(values), "loss": None, "seconds": perf_counter() - begun, "over": True})
+            return math.inf, -1.0
+        log.append({"values": dict(values), "loss": _finite(scored.loss), "lost": scored.lost,
+                    "broken": _finite(scored.broken), "objective": [_finite(value) for value in scored.values],
+                    "seconds": perf_counter() - begun})
+        return scored.loss, scored.broken
+
+    found = search(axes, evaluated, budget)
     if not math.isfinite(found.loss):
-        raise InputError(f"--over: all {len(found.losses)} evaluations of {task.label} ended infeasible or lost; other "
-                         "limits may do")
-    entries = {"tuned": told(found.values), "untuned": untuned}
-    written = {key: value for key, value in entries["tuned"].items() if key not in ("note", "default")}
-    return Tuned(written, found, {name: task.score(entry, training=True) for name, entry in entries.items()},
-                 {name: task.score(entry, training=False) for name, entry in entries.items()})
+        raise InputError(f"--over: all {len(found.losses)} evaluations of {task.label} ended infeasible, lost or over "
+                         f"{limit:.3g} s; other limits may do")
+    if min(found.broken) > 0:
+        raise InputError(f"--subject-to: none of {len(found.losses)} evaluations of {task.label} keeps it; other "
+                         "limits of the search may do")
+    tuned = told(found.values)
+    entries = {"tuned": (task.label, tuned), **_matched(task, untuned),
+               **{label: (label, task.entry(label)) for label in task.beside}}
+    train |= {name: task.score(entry, True, label) for name, (label, entry) in entries.items()}
+    test = {name: task.score(entry, False, label)
+            for name, (label, entry) in {"untuned": (task.label, untuned), **entries}.items()}
+    written = {key: value for key, value in tuned.items() if key not in ("note", "default")}
+    written["tuned"] = {"variant": task.variant, "untuned": task.label, "runs": task.runs, "train": {
+        f"{metric}:{quantity}": [_short(train[name].values[i]) for name in ("tuned", "untuned")]
+        for i, (metric, quantity) in enumerate(task.objective)}}
+    return Tuned(written, found, train, test, log, limit)
+
+
+def _matched(task: Task, untuned: Mapping[str, Any]) -> dict[str, tuple[str, dict[str, Any]]]:
+    """The estimator as the scenario tells it, beside an entry that is told something else."""
+    bare = {"plugin": untuned["plugin"]}
+    return {} if set(untuned) <= {"plugin", "note", "default"} else {"as told": (task.label, bare)}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}")
 
 
 def aim(column: str) -> bool:
     """Whether a metric can be an objective."""
     return column.partition(":")[0] not in CONSTRAINTS
-
-
-def put(table: dict[str, Any], key: str, value: Any, base: Mapping[str, Any]) -> None:
-    """Set one dotted key, `sigma_v.1` the second element of a list; base: where lists come from that the table does not
-    name itself. Raises InputError."""
-    head, _, rest = key.partition(".")
-    if not rest:
-        table[head] = value
-        return
-    inner, under = table.get(head), base.get(head)
-    place = re.fullmatch(r"\d+", rest)
-    if place and isinstance(inner if inner is not None else under, list):
-        items = list(inner if inner is not None else under or [])
-        if int(rest) >= len(items):
-            raise InputError(f"--over {key}: there are {len(items)} elements, counted from 0")
-        items[int(rest)] = value
-        table[head] = items
-        return
-    table[head] = dict(inner or {})
-    put(table[head], rest, value, under if isinstance(under, Mapping) else {})
-
-
-def toml(label: str, entry: Mapping[str, Any], origin: str) -> str:
-    """The entry as lines of a scenario file, its origin with it."""
-    lines = ["[origin]", f"{json.dumps(f'estimators.{label}')} = {_plain(origin)}", "", f"[estimators.{label}]"]
-    return "\n".join([*lines, *(f"{key} = {_plain(value)}" for key, value in entry.items()), ""])
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key if re.fullmatch(r'[A-Za-z0-9_-]+', key) else json.dumps(key)} = {_plain(item)}"
-                                for key, item in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_plain, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)

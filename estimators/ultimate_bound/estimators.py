@@ -181,6 +181,7 @@ def _from_file(given: Any, info: ValidationInfo) -> Any:
 class FixedGainParameters(DecayParameters):
     """Where the gain is."""
 
+    scale: float = Field(1.0, gt=0, description="the gain is multiplied by it, and certified so")
     gain: Annotated[list[list[float]], BeforeValidator(_from_file)] = Field(
         description="K (nx x ny, predictor form): rows of numbers, or a CSV file of them, one row a line, by its path "
                     "or the name of a file beside the built-in scenarios")
@@ -193,7 +194,7 @@ class FixedGain(ConstantGain):
     summary = "constant gain from a file, its bound certified by Theorem 1 where there is a certificate"
 
     def design(self, model: DesignModel) -> dict[str, Any]:
-        self.K = np.array(self.parameters.gain)
+        self.K = self.parameters.scale * np.array(self.parameters.gain)
         if self.K.shape != (model.nx, model.ny):
             raise Unsupported(f"the gain is {' x '.join(map(str, self.K.shape))}, this scenario needs {model.nx} x "
                               f"{model.ny} (states x measurements)")

@@ -94,7 +94,8 @@ class Knowledge(Strict):
     appended, a_z taken as known: linear). grid: values of f, in order. initial_variance of (D, v, a^, a_z).
     rate_prior: over the grid, `uniform`, or `normal` with the mean and variance of the next two. rate_initial,
     rate_initial_variance, rate_variance_rate (1/s): f as a random walk; target_variance_rate: process
-    noise on a_z in the two models with f appended. nominal: the f of the grid model's plain linear part."""
+    noise on a_z in the two models with f appended. nominal: the f of the grid model's plain linear part.
+    speed_variance_rate ((m/s)^2/s) and the variances of the measurements: the truth's own where left out."""
 
     model: Literal["grid", "augmented", "scheduled"] = "grid"
     grid: Annotated[list[NonNegativeFloat], Field(min_length=1)]
@@ -105,6 +106,11 @@ class Knowledge(Strict):
     rate_variance_rate: PositiveFloat = 1e-3
     target_variance_rate: NonNegativeFloat = 0.0
     nominal: NonNegativeFloat = 1.0
+    speed_variance_rate: NonNegativeFloat | None = None
+    displacement_variance: PositiveFloat | None = None
+    speed_variance: PositiveFloat | None = None
+    target_acceleration_variance: PositiveFloat | None = None
+    control_acceleration_variance: PositiveFloat | None = None
 
     @model_validator(mode="after")
     def _monotone(self) -> Knowledge:

@@ -16,7 +16,7 @@ from ..observation import observe
 from ..randomness import Streams
 from ..setting import Quantity, Setting
 from ..world import Sensing, Trajectory
-from .config import BrakingConfig
+from .config import BrakingConfig, Knowledge
 from .plant import discretise
 from .told import Told, Walk, augmented_model, grid_model, scheduled_model
 
@@ -88,14 +88,13 @@ class Braking(Setting[BrakingConfig]):
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """Four states with modes over the grid of f, or five with f appended, as `knowledge.model` says."""
-        told_of = self.resolve_knowledge(knowledge)
+        told_of: Knowledge = self.resolve_knowledge(knowledge)
         period = self.config.time.period
-        rows = self.config.sensors.rows()
+        noise, rows = self._believed(told_of)
         C = np.zeros((len(rows), 4))
         for row, (_, state, _) in enumerate(rows):
             C[row, state] = 1.0
-        told = Told(self.plant, period, initial_mean, np.array(told_of.initial_variance),
-                    self._noise(), C,
+        told = Told(self.plant, period, initial_mean, np.array(told_of.initial_variance), noise, C,
                     np.diag([variance for *_, variance in rows]), tuple(name for name, *_ in rows))
         if told_of.model == "grid":
             return grid_model(told, np.array(told_of.grid), told_of.prior, told_of.nominal)
@@ -104,15 +103,18 @@ class Braking(Setting[BrakingConfig]):
         return augmented_model(told, walk) if told_of.model == "augmented" else scheduled_model(told, walk,
                                                                                                   self.targets)
 
-    def _noise(self) -> Array:
-        """Process covariance of a step, (4, 4)."""
+    def _believed(self, told: Knowledge) -> tuple[Array, list[tuple[str, int, float]]]:
+        """Process covariance of a step (4, 4) and the measurements' rows as the estimators are told them."""
         disturbance, period = self.config.disturbance, self.config.time.period
         entry = disturbance.entry(period)
-        return disturbance.speed_variance_rate * period * np.outer(entry, entry)
+        rate = disturbance.speed_variance_rate if told.speed_variance_rate is None else told.speed_variance_rate
+        return rate * period * np.outer(entry, entry), [
+            (name, state, getattr(told, f"{name.replace('-', '_')}_variance") or variance)
+            for name, state, variance in self.config.sensors.rows()]
 
     def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
         """A constant bias of each sensor; f itself is a state where knowledge.model says so."""
-        rows = self.config.sensors.rows()
+        rows = self._believed(self.resolve_knowledge(knowledge))[1]
         return {f"{name}-bias": (Extra(f"{name}-bias", "m" if state == 0 else "m/s" if state == 1 else "m/s^2",
                                        "constant", float(np.sqrt(variance)), column=column),)
                 for (name, state, variance), column in zip(rows, np.eye(len(rows)), strict=True)}

@@ -137,7 +137,8 @@ class Knowledge(Strict):
     the delta_i are scaled. trains: range of N(k) the estimators reckon with, the channel's own where left out. theta,
     varpi: decay asked of `ultimate-bound`, bound asked of `fastest-decay`. force_share: standard deviation of the
     white process noise force that a Kalman filter takes for the resistive force, as a share of delta_i. initial_sd
-    [m, m/s]: standard deviations of the start, for covariances."""
+    [m, m/s]: standard deviations of the start, for covariances. position_noise, speed_noise: standard deviations of w,
+    the sensors' own where left out."""
 
     speed_limit: PositiveFloat
     delta: NonNegativeFloat | None = None
@@ -146,6 +147,8 @@ class Knowledge(Strict):
     varpi: PositiveFloat
     force_share: NonNegativeFloat
     initial_sd: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    position_noise: PositiveFloat | None = None
+    speed_noise: PositiveFloat | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Knowledge:

@@ -99,7 +99,8 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         n, sensors, weight = self.cars, self.config.sensors, self.config.performance
         plant, delta = self._matrices(), self._delta(told)
         C = np.diag([sensors.position_weight] * n + [sensors.speed_weight] * n)
-        R = np.diag([sensors.position_noise**2] * n + [sensors.speed_noise**2] * n)
+        R = np.diag([(told.position_noise or sensors.position_noise)**2] * n
+                    + [(told.speed_noise or sensors.speed_noise)**2] * n)
         noisy = plant.E * (told.force_share * delta)
         Q = product(noisy, np.ascontiguousarray(noisy.T))
         linear = Linear(A=lambda k: plant.A, B=lambda k: plant.B, h=lambda k: plant.h, C=lambda k: C, Q=lambda k: Q,

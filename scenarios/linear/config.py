@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from ..channels import Channel, Ideal, RandomAccess
 from ..faults import Faults
@@ -37,14 +37,16 @@ class Plant(Strict):
 
 
 class Knowledge(Strict):
-    """What the estimators are told otherwise than the truth: any matrix of the plant, the access probabilities p."""
+    """What the estimators are told otherwise than the truth: any matrix of the plant, the access probabilities p.
+
+    Q, R, P0: a number stands for as many times the plant's own."""
 
     A: Matrix | None = None
     B: Matrix | None = None
     C: Matrix | None = None
-    Q: Matrix | None = None
-    R: Matrix | None = None
-    P0: Matrix | None = None
+    Q: Matrix | PositiveFloat | None = None
+    R: Matrix | PositiveFloat | None = None
+    P0: Matrix | PositiveFloat | None = None
     p: Annotated[list[Probability], Field(min_length=1)] | None = None
 
 

@@ -73,6 +73,13 @@ def varies(matrix: list[Any]) -> bool:
     return _per_step(matrix) or any(isinstance(entry, str) for row in matrix for entry in row)
 
 
+def times(matrix: list[Any], factor: float) -> list[Any]:
+    """The matrix with every entry so many times as large."""
+    if isinstance(matrix, list):
+        return [times(part, factor) for part in matrix]
+    return f"{factor!r}*({matrix})" if isinstance(matrix, str) else factor * matrix
+
+
 def at_step(matrix: list[Any]) -> AtStep:
     """The matrix as a function of k, each step evaluated once; the arrays (rows, columns) are not to be written to.
 

@@ -19,7 +19,7 @@ from ..randomness import Streams
 from ..setting import Matched, Quantity, Setting
 from ..world import Sensing, Trajectory
 from .config import Knowledge, LinearConfig
-from .matrices import at_step, listed, remembered, shape, varies
+from .matrices import at_step, listed, remembered, shape, times, varies
 
 
 class LinearSystem(Setting[LinearConfig]):
@@ -124,7 +124,8 @@ class LinearSystem(Setting[LinearConfig]):
         if not told:
             return self.config
         table = self.config.model_dump(exclude_unset=True) | {"knowledge": told}
-        matrices = {name: value for name, value in told.items() if name != "p"}
+        matrices = {name: times(getattr(self.config.plant, name), value) if isinstance(value, float) else value
+                    for name, value in told.items() if name != "p"}
         table["plant"] = table["plant"] | matrices
         if "p" in told and isinstance(self.config.channel, RandomAccess):
             table["channel"] = table["channel"] | {"p": told["p"]}

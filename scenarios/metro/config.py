@@ -55,12 +55,15 @@ class Plant(Strict):
 class Knowledge(Strict):
     """What estimators are told. w_bar m/s^2, v_bar [m, m/s]: bounds. moments: the second moments that follow from
     them (uniform: bound^2 / 3; gaussian: bound^2 / 9). sigma_w m/s^2, sigma_v [m, m/s]: standard deviations instead.
+    densities: what a particle filter draws and weighs by, Gaussian noise of these moments or uniform noise within the
+    bounds, fresh each step. Bounds of an estimator's own leave it the standard deviations of the scenario.
 
     initial_sd [m, m/s]. kappa: a constant factor of the linearisation error instead of the computed one."""
 
     w_bar: PositiveFloat
     v_bar: Two
     moments: Literal["uniform", "gaussian"] = "uniform"
+    densities: Literal["gaussian", "uniform"] = "gaussian"
     sigma_w: PositiveFloat | None = None
     sigma_v: Two | None = None
     initial_sd: Two

@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import Array
 from ..augmented import Extra, augmented
 from ..compiled import Compiled
+from ..densities import uniform
 from ..errors import InputError
 from ..faults import Jump
 from ..measurement import Interval
@@ -126,6 +127,13 @@ class Metro(Setting[MetroConfig]):
         along = np.array([1.0, 0.0])
         return Sensing(("position", "speed"), self.config.sensors.sd, (along, along))
 
+    def resolve_knowledge(self, knowledge: Mapping[str, Any]) -> Any:
+        """An entry's own w_bar and v_bar are bounds alone: its standard deviations stay those of the scenario, unless
+        it says other `moments`. Raises pydantic's ValidationError."""
+        told: Knowledge = self.config.knowledge
+        kept = {} if "moments" in knowledge else {"sigma_w": told.process_sd, "sigma_v": told.sensor_sd.tolist()}
+        return super().resolve_knowledge({**kept, **knowledge})
+
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """The plant without its disturbance; for bounds the linearisation error of M = [T/2, 1]', N = [0, kappa]."""
         told: Knowledge = self.resolve_knowledge(knowledge)
@@ -187,19 +195,23 @@ class Metro(Setting[MetroConfig]):
                           M=np.array([[0.5 * period], [1.0]]), N=np.array([[0.0, 1.0]]), kappa=kappa),
             reception=self.config.channel.reception(),
             inclusion=Rectangles(transition, told.w_bar, np.array(told.v_bar)).inclusion(
-                initial_mean, np.array(self.config.plant.start_error)))
+                initial_mean, np.array(self.config.plant.start_error)),
+            densities=uniform(lambda interval: _entering(interval)[:, None], np.array([told.w_bar]),
+                              np.array(told.v_bar)) if told.densities == "uniform" else None)
 
     def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
         """The acceleration disturbance in place of white noise, and a slowly varying bias of either sensor."""
         told: Knowledge = self.resolve_knowledge(knowledge)
-
-        def gain(interval: Interval) -> Array:
-            h = np.atleast_1d(np.asarray(interval.length, dtype=float))
-            return np.array([0.5 * h * h, h])
 
         biases = {f"{name}-bias": (Extra(f"{name}-bias", unit, "gauss-markov", float(sd), time_constant=20.0,
                                          column=column),)
                   for name, unit, sd, column in zip(("position", "speed"), ("m", "m/s"), told.sensor_sd, np.eye(2),
                                                     strict=True)}
         return {"disturbance": (Extra("disturbance", "m/s^2", "gauss-markov", told.process_sd, time_constant=8.0,
-                                      gain=gain, instead=1.0),), **biases}
+                                      gain=_entering, instead=1.0),), **biases}
+
+
+def _entering(interval: Interval) -> Array:
+    """What a disturbing acceleration does to position and speed within an interval, (2, S or 1)."""
+    h = np.atleast_1d(np.asarray(interval.length, dtype=float))
+    return np.array([0.5 * h * h, h])

@@ -27,6 +27,7 @@ from . import sweep
 from .matrix import anchor, families_in_words, matrix
 from .published import Paper, papers, sentence
 from .sections import chip, section
+from .tuned import tuned_table
 
 
 def write_report(folder: str | Path, out: str | Path | None = None, published: Mapping[str, Any] | None = None
@@ -53,6 +54,7 @@ def render(results: Results, published: Mapping[str, Any] | None = None) -> str:
         words=_first_words(cells, int(results.manifest["configuration"]["runs"]), told),
         families=families_in_words(cells, results.manifest["estimators"], view.families),
         sections=[section(results, name, found) for name, found in results.scenarios.items()],
+        tuned={name: tuned_table([cell.cell for cell in found]) for name, found in results.scenarios.items()},
         published=told, facts=facts(results))
 
 

@@ -1,0 +1,65 @@
+"""What an estimator's entry may be told otherwise than the truth reaches its design model, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from railstate.scenarios.files import load
+from railstate.scenarios.measurement import untold
+from railstate.scenarios.randomness import Streams
+
+from ..models import whole
+
+
+def told(name, knowledge):
+    """The design model of a scenario's default variant."""
+    scenario = load(name)
+    setting = scenario.setting(scenario.default)
+    steps = setting.config.model_copy(update={"time": setting.config.time.model_copy(update={"steps": 20})})
+    world = type(setting)(steps).world(Streams(1, name, scenario.default, (0,)))
+    return setting.design_model(knowledge, world.initial_mean)
+
+
+def noises(model):
+    """Q of the first step and R."""
+    assert model.linear is not None
+    return model.linear.Q(0), model.linear.R(0)
+
+
+@pytest.mark.parametrize(("name", "knowledge", "which", "changed"), [
+    ("braking-rate", {"speed_variance_rate": 0.2}, 0, {(1, 1): 0.2}),
+    ("braking-rate", {"displacement_variance": 7.0, "target_acceleration_variance": 3.0}, 1,
+     {(0, 0): 7.0, (2, 2): 3.0}),
+    ("cbtc-csma", {"position_noise": 0.5, "speed_noise": 2.0}, 1,
+     {(i, i): 0.25 if i < 6 else 4.0 for i in range(12)}),
+    ("rap-example-1", {"R": 2.0}, 1, {(0, 0): 0.18, (1, 1): 0.18}),
+    ("rap-example-1", {"R": [[0.5, 0], [0, 0.6]]}, 1, {(0, 0): 0.5, (1, 1): 0.6})])
+def test_told_noise_changes_what_it_names_alone(name, knowledge, which, changed):
+    before, after = noises(told(name, {})), noises(told(name, knowledge))
+    wanted = before[which].copy()
+    for place, value in changed.items():
+        wanted[place] = value
+    assert after[which] == pytest.approx(wanted) and np.array_equal(before[1 - which], after[1 - which])
+
+
+def test_a_number_times_a_covariance_that_varies():
+    """Q as a number on a plant whose B moves with the step."""
+    one, three = told("rap-example-1", {}).linear, told("rap-example-1", {"Q": 3.0}).linear
+    assert all(three.Q(k) == pytest.approx(3 * one.Q(k)) for k in range(5))
+    with pytest.raises(ValidationError):
+        told("rap-example-1", {"Q": -1.0})
+
+
+def test_bounds_of_an_entry_leave_its_standard_deviations():
+    """w_bar and v_bar are what the robust estimators are told; a filter's Q and R stay those of the scenario."""
+    def said(knowledge):
+        model = told("ningbo-metro", knowledge)
+        Q = model.process_covariance(model.initial_mean, np.zeros((1, 1)), whole(0, model.period))
+        return model.bounds, Q, model.measurement_covariance(untold(1, 2))
+
+    (plain, Q, R), (bounds, same, too) = said({}), said({"w_bar": 0.6, "v_bar": [2.0, 0.1]})
+    assert bounds.w_bar == [0.6] and list(bounds.v_bar) == [2.0, 0.1] and plain.w_bar == [0.15]
+    assert np.array_equal(Q, same) and np.array_equal(R, too)
+    gaussian = said({"moments": "gaussian"})[1]
+    assert gaussian == pytest.approx(Q / 3)
