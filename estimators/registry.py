@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import pickle
 import re
 import sys
 import warnings
@@ -22,6 +23,8 @@ from ..scenarios.source import LOOSE
 from .interface import Estimator, first_edition
 
 GROUP, SUITE = "railstate.estimators", "railstate"
+GIVEN = ".pickle"
+"""How files end that hold a class which was given in Python, by value; it is called as the file is."""
 _loose: dict[str, type[Estimator]] = {}
 
 
@@ -86,6 +89,8 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
     file = Path(path).resolve()
     if not file.is_file():
         raise InputError(f"{path}: no such file; --plugin takes a Python file with an Estimator class")
+    if file.suffix == GIVEN:
+        return _load_given(file)
     # by content too: what was changed in the meantime is another module
     digest = hashlib.sha256(str(file).encode() + file.read_bytes()).hexdigest()
     module_name = f"{LOOSE}{digest[:12]}"
@@ -121,5 +126,15 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
     if taken:
         raise InputError(f"{path}: an estimator named {taken[0]} is installed already; rename the "
                          f"{'file' if len(classes) == 1 else 'class'}")
+    _loose.update(found)
+    return found
+
+
+def _load_given(file: Path) -> dict[str, type[Estimator]]:
+    try:
+        found = {file.stem: pickle.loads(file.read_bytes())}
+    except BaseException as error:
+        raise InputError(f"{file.stem}: cannot be handed to a process of its own: {type(error).__name__}: {error}"
+                         ) from None
     _loose.update(found)
     return found

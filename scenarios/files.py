@@ -4,12 +4,10 @@ A `Scenario` is the file read; `scenario.setting(variant)` is one variant of it,
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import re
-import tomllib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,9 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from .errors import InputError, describe
-from .faults import KINDS
 from .faults import Base as Fault
-from .registry import scenario_files, setting_for, settings
+from .inheritance import Read, blamed, inherited, joined, located, merge, paths, read, set_dotted
+from .registry import setting_for
 from .requirements import check
 from .schema import LABEL
 from .setting import Setting
@@ -39,7 +37,7 @@ class Scenario:
 
     folder: that of a user's file, from which it names others. unfit: variants that are sound by themselves but cannot
     take the overrides (the number of contending trains, on a channel of another kind), with what is wrong. requested:
-    variants that run only when asked for by name."""
+    variants that run only when asked for by name. layers: the files it is made of, the base first."""
 
     name: str
     where: str
@@ -48,6 +46,7 @@ class Scenario:
     unfit: dict[str, list[str]] = field(default_factory=dict)
     folder: Path = Path()
     requested: frozenset[str] = frozenset()
+    layers: tuple[Read, ...] = field(default=(), repr=False)
 
     def setting(self, variant: str) -> Setting[Any]:
         """The setting of one variant. Raises InputError for one that is unknown or unfit."""
@@ -66,7 +65,7 @@ class Scenario:
         content = {key: value for key, value in table.items() if key not in DISPLAY}
         found = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
         for key in setting_for(table["plant"]["kind"], self.where).user_files:
-            for path in _paths(table["plant"].get(key)):
+            for path in paths(table["plant"].get(key)):
                 for file in sorted(Path(path).rglob("*")) if Path(path).is_dir() else [Path(path)]:
                     found.update(file.read_bytes() if file.is_file() else b"")
         return found.hexdigest()[:16]
@@ -75,54 +74,27 @@ class Scenario:
 def load(name: str, overrides: Mapping[str, Any] | None = None, only: str = "") -> Scenario:
     """A scenario by built-in name or path of a TOML file, with `--set` overrides (dotted key -> value) on every
     variant, or on the one variant that is wanted. Raises InputError with all mistakes of the file."""
-    path, where, table = _read(name)
-    return parse(table, where, overrides, only, Path() if name in scenario_files() else path.parent)
+    found = read(name)
+    return parse(found.table, found.where, overrides, only, found.folder)
 
 
 def outline(name: str) -> tuple[dict[str, Any], dict[str, bool]]:
     """The default variant's table of a scenario as it is written, not checked, and the variants with whether they run
     unless asked for. Raises InputError for a file that cannot be read."""
-    _, where, table = _read(name)
-    named = table.get("variants", {"default": {}})
-    try:
-        return merge(table, next(iter(named.values()))), {key: changes.get("default", True)
-                                                          for key, changes in named.items()}
-    except (AttributeError, StopIteration, TypeError):
-        raise InputError(f"{where}: variants must be tables such as [variants.NAME]") from None
-
-
-def _read(name: str) -> tuple[Path, str, dict[str, Any]]:
-    """A scenario's file, what messages call it, and its table. Raises InputError."""
-    path = scenario_files().get(name)
-    if path is None:
-        path = Path(name)
-        if not path.exists():
-            near = difflib.get_close_matches(name, scenario_files(), 1)
-            hint = f" (did you mean {near[0]}?)" if near else ""
-            raise InputError(f"{name}: no such scenario and no such file{hint}; built in: "
-                             f"{', '.join(scenario_files())}")
-        if path.is_dir():
-            raise InputError(f"{name}: is a directory; a scenario is a TOML file or one of "
-                             f"{', '.join(scenario_files())}")
-    where = name if name in scenario_files() else str(path)
-    try:
-        return path, where, tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: not valid TOML: {error}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read: {error}") from None
+    table, named = joined(inherited(read(name)))
+    return merge(table, next(iter(named.values()))), {key: changes.get("default", True)
+                                                      for key, changes in named.items()}
 
 
 def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None, only: str = "",
           folder: Path = Path()) -> Scenario:
-    """A scenario from its TOML table; `where` stands in the messages, files are named from `folder` on. Raises
-    InputError with all mistakes."""
+    """A scenario from its TOML table, laid over its base; `where` stands in the messages, files are named from `folder`
+    on. Raises InputError with all mistakes."""
     if not table:
-        raise InputError(f"{where}: the file is empty; a scenario needs name, title, [time], [plant], [estimators]")
-    base = {key: value for key, value in table.items() if key != "variants"}
-    named = table.get("variants", {"default": {}})
-    if not isinstance(named, dict) or not named or not all(isinstance(value, dict) for value in named.values()):
-        raise InputError(f"{where}: variants must be tables such as [variants.NAME]")
+        raise InputError(f"{where}: the file is empty; a scenario needs name, title, [time], [plant], [estimators], or "
+                         "name and base")
+    layers = inherited(Read(where, folder, table))
+    base, named = joined(layers)
     mistakes: list[str] = []
     unfit: dict[str, list[str]] = {}
     refused: InputError | None = None
@@ -139,7 +111,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         if not changes and len(named) > 1 and variant != next(iter(named)):
             mistakes.append(f"variants.{variant}: changes nothing; allowed: at least one of "
                             f"{', '.join(sorted(VARIANT_KEYS))}")
-        plain = merged = _located(merge(base, changes), folder)
+        plain = merged = located(merge(base, changes), folder)
         if only and variant != only:
             variants[variant] = plain
             continue
@@ -149,7 +121,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
         except InputError as error:  # such as faults of a name that this variant's have not
             refused, unfit[variant] = refused or error, [str(error)]
             continue
-        merged = _located(merged, Path.cwd())
+        merged = located(merged, Path.cwd())
         found = validate(merged, where)
         if found and overrides and not validate(plain, where):
             unfit[variant] = found
@@ -160,15 +132,15 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     if refused and (not variants or only in unfit):
         raise refused
     touched = {key.partition(".")[0] for key in overrides or ()}
-    mistakes += _strays(variants.values(), where, touched) if not mistakes else []
+    mistakes += _strays(variants.values(), layers[-1].table, touched) if not mistakes else []
     if not variants or only in unfit:
         usual = {variant: found for variant, found in unfit.items() if named[variant].get("default", True)}
         mistakes += [f"variants.{variant}: {line}" if named[variant] else line
                      for variant, found in (usual or unfit).items() for line in found]
     if mistakes:
-        raise InputError("\n".join(f"{where}: {mistake}" for mistake in _without_repeats(mistakes)))
+        raise InputError("\n".join(f"{blamed(mistake, layers)}: {mistake}" for mistake in _without_repeats(mistakes)))
     return Scenario(base["name"], where, variants, next(iter(named)), unfit, folder,
-                    frozenset(name for name, changes in named.items() if not changes.get("default", True)))
+                    frozenset(name for name, changes in named.items() if not changes.get("default", True)), layers)
 
 
 def validate(table: dict[str, Any], where: str) -> list[str]:
@@ -227,14 +199,16 @@ def _file_given(setting: Setting[Any]) -> bool:
     return found is not None
 
 
-def _strays(variants: Collection[dict[str, Any]], where: str, touched: Collection[str]) -> list[str]:
-    """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden."""
+def _strays(variants: Collection[dict[str, Any]], own: Mapping[str, Any], touched: Collection[str]) -> list[str]:
+    """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden,
+    nor those of a base, of which there may be less left. own: the file's own table."""
+    tables = [own, *own.get("variants", {}).values()]
+    said = {key: {path for table in tables for path in table.get(key, ())} for key in ("origin", "fitted")}
     try:
-        configs = [setting_for(table["plant"]["kind"], where).Config.model_validate(table) for table in variants]
+        configs = [setting_for(table["plant"]["kind"], "").Config.model_validate(table) for table in variants]
     except ValidationError:  # of a variant that nobody asked for
         return []
-    paths = {(key, path): None for config in configs for key in ("origin", "fitted") for path in getattr(config, key)}
-    return [f"{key}.{path}: names no key of this scenario" for key, path in paths
+    return [f"{key}.{path}: names no key of this scenario" for key in said for path in sorted(said[key])
             if path.partition(".")[0] not in touched and not any(_names_a_key(path, config) for config in configs)]
 
 
@@ -250,80 +224,6 @@ def _names_a_key(path: str, config: Any) -> bool:
         if config is MISSING:
             return False
     return True
-
-
-def _located(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The table with the user's files that it names as paths from here on."""
-    plant = table.get("plant")
-    kind = settings().get(str(plant.get("kind"))) if isinstance(plant, dict) else None
-    if kind is None or not isinstance(plant, dict):
-        return table
-    named: dict[str, Any] = {}
-    for key in kind.user_files:
-        found = [str((folder / path).resolve()) for path in _paths(plant.get(key))]
-        if found:
-            named[key] = found if isinstance(plant[key], list) else found[0]
-    return {**table, "plant": {**plant, **named}}
-
-
-def _paths(value: Any) -> list[str]:
-    """The paths that a key of [plant] names: one, a list of them, or none (a table)."""
-    return [value] if isinstance(value, str) else [path for path in value if isinstance(path, str)] if isinstance(
-        value, list) else []
-
-
-def merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` on top, tables merged key by key; a table whose `kind` changes is replaced whole. A table
-    `faults` changes the entries of [[faults]] by their names or kinds."""
-    out = dict(base)
-    for key, value in changes.items():
-        old = out.get(key)
-        if key == "faults" and isinstance(value, dict):
-            entries = old if isinstance(old, list) else []
-            for label, inner in value.items():
-                entries = with_entry(entries, label, lambda entry, inner=inner: merge(entry, inner))
-            out[key] = entries
-        elif (isinstance(old, dict) and isinstance(value, dict)
-              and value.get("kind", old.get("kind")) == old.get("kind")):
-            out[key] = merge(old, value)
-        else:
-            out[key] = value
-    return out
-
-
-def set_dotted(table: dict[str, Any], key: str, value: Any, above: str = "") -> dict[str, Any]:
-    """`table` with one dotted key set (`channel.trains`). Another `kind` of a table replaces the whole of it, as in a
-    variant. above: where the table stands, for the message."""
-    head, _, rest = key.partition(".")
-    if not rest:
-        return {"kind": value} if head == "kind" and table.get("kind", value) != value else {**table, head: value}
-    inner = table.get(head, {})
-    if head == "faults" and not above:
-        label, _, rest = rest.partition(".")
-        if not rest:
-            raise InputError(f"--set {key}: names no key of a fault, such as faults.outliers.share")
-        entries = inner if isinstance(inner, list) else []
-        return {**table, head: with_entry(entries, label,
-                                          lambda entry: set_dotted(entry, rest, value, f"faults.{label}."))}
-    if not isinstance(inner, dict):
-        raise InputError(f"--set {above}{key}: {above}{head} is not a table")
-    return {**table, head: set_dotted(inner, rest, value, f"{above}{head}.")}
-
-
-def with_entry(entries: list[dict[str, Any]], label: str,
-               change: Callable[[dict[str, Any]], dict[str, Any]]) -> list[dict[str, Any]]:
-    """The [[faults]] with the one of this name or kind changed; a kind that is not among them yet is appended. Raises
-    InputError where two entries are meant, or none."""
-    meant = [i for i, entry in enumerate(entries) if label == entry.get("name", entry.get("kind"))]
-    if len(meant) > 1:
-        raise InputError(f"faults.{label}: two entries are called so: give each a name of its own")
-    if not meant and label not in KINDS:
-        known = [str(entry.get("name", entry.get("kind"))) for entry in entries]
-        raise InputError(f"faults.{label}: no such entry and no such kind; allowed: "
-                         f"{', '.join(dict.fromkeys([*known, *KINDS]))}")
-    place = meant[0] if meant else len(entries)
-    changed = change(entries[place] if meant else {"kind": label})
-    return [*entries[:place], changed, *entries[place + 1:]]
 
 
 def _without_repeats(mistakes: list[str]) -> list[str]:

@@ -58,7 +58,7 @@ def _closure(modules: tuple[str, ...]) -> dict[str, bytes]:
     seen: set[str] = set()
     while waiting:
         name = waiting.pop()
-        if name in seen:
+        if name in seen or name == OWN:  # the door, which computes nothing
             continue
         seen.add(name)
         top = name.partition(".")[0]
@@ -92,7 +92,7 @@ def _file(name: str, beside: Sequence[str] = ()) -> Path | None:
     above = name.rpartition(".")[0]
     find = importlib.machinery.PathFinder.find_spec
     try:
-        spec = find(name, _folders(above, beside)) if above else (
+        spec = importlib.util.find_spec(name) if above == OWN else find(name, _folders(above, beside)) if above else (
             None if name in sys.stdlib_module_names else importlib.util.find_spec(name) or find(name, beside))
     except (ImportError, ValueError, KeyError):
         return None

@@ -33,8 +33,12 @@ def test_the_wheel_installed_elsewhere_runs_a_scenario(tmp_path: Path) -> None:
     fresh = Fresh(tmp_path / "environment", tmp_path)
     done = fresh.run("pip", "install", "-q", "--force-reinstall", wheel)
     assert done.returncode == 0, done.stderr
-    where = fresh.run(fresh.python, "-c", "import railstate.scenarios as s; print(s.__file__)")
-    assert where.stdout.startswith(str(tmp_path)), where.stdout
+    code = ("import railstate, railstate.scenarios as s; print(s.__file__); print(railstate.__file__); "
+            "print(railstate.run('rap-example-1', ['kalman'], runs=2, jobs=1, folder='python'), railstate.__version__)")
+    said = fresh.run(fresh.python, "-c", code)
+    lines = said.stdout.splitlines()
+    assert all(line.startswith(str(tmp_path)) for line in lines[:2]), said.stdout + said.stderr
+    assert lines[2].startswith("4 rows in python 0."), said.stdout + said.stderr
     for words in (("list",), ("show", "ningbo-metro"), ("new", "estimator", "first-try"),
                   ("run", "rap-example-1", "--runs", "3", "--jobs", "1", "--out", "out"), ("report", "out")):
         done = fresh.run("railstate", *words)

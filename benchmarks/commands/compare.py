@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import sys
@@ -17,15 +16,13 @@ from ...estimators.registry import estimator_class
 from ...scenarios.errors import InputError, Unsupported
 from ...scenarios.randomness import Streams
 from ...scenarios.registry import scenario_files
+from ..api import runs as api
 from ..isolation.process import IMPORT
-from ..judging.comparison import Changes, Comparison, between_estimators, between_folders, speed_ratio
+from ..judging.comparison import Changes, Comparison, between_folders, speed_ratio
 from ..planning.catalogue import Catalogue
 from ..planning.naming import find
-from ..planning.plan import make_plan
-from ..running.runner import Machinery
 from ..store.folder import Store
-from ..studies.complete import complete, default_folder
-from ..telling.console import hush, print_json, print_table, wrapped
+from ..telling.console import print_json, print_table, wrapped
 from ..telling.sentences import comparison as words
 from ..telling.wording import bracket, change, counted, percent, ratio, rough, value_words
 from . import options
@@ -51,7 +48,6 @@ def compare(
 ) -> None:
     """Compare B with A, paired over the same runs: ratio of errors with its interval, runs won, runs lost, speed."""
     limits = [_limit(text) for text in options.names_in(fail_on)]
-    hush(quiet or json)
     show = not (quiet or json)
     folders = [Path(name, "manifest.json").is_file() for name in (a, b)]
     if any(folders):
@@ -71,14 +67,15 @@ def compare(
         if DIFFERENT in limits:
             raise InputError("--fail-on different: is for two results folders; two estimators always differ")
         different = False
-        store = _run(a, b, scenario or [], runs, seed, jobs, set_, plugin, out)
-        found = between_estimators(store.rows(), store.manifest(), a, b)
-        timing = store.timing()
+        results = api.run(scenario or _fitting(a, b, seed, Catalogue(plugin)), [a, b], runs=runs, seed=seed, jobs=jobs,
+                          overrides=options.overrides(set_), plugins=plugin, folder=out, keep=0, quiet=not show,
+                          command=shlex.join(["railstate", *sys.argv[1:]]))
+        found, timing = results.comparisons(a, b), results.timing()
         speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")
                                                         for name in (a, b)))
         if not found:
             raise InputError(f"{a} and {b} finished no two runs in common: "
-                             + (f"`railstate replay` in {store.folder} shows why" if runs > 1 else
+                             + (f"`railstate replay` in {results.folder} shows why" if runs > 1 else
                                 "--runs: two at least are needed"))
     if show:
         _print_comparisons(found, a, b, speed)
@@ -132,22 +129,6 @@ def _failures(limit: Limit, found: list[Comparison], different: bool, a: str, b:
         raise InputError(f"--fail-on {limit.metric}:{limit.quantity}: not among what is compared: {', '.join(known)}")
     lost = [each for each in found if each.lost and each.verdict == "worse"]
     return [words(each, a, b) for each in [*mine, *lost] if each.lost or each.b["ratio_low"] > 1 + limit.share]
-
-
-
-def _run(a: str, b: str, names: list[str], runs: int, seed: int, jobs: int, sets: list[str], plugins: list[str],
-         out: str) -> Store:
-    """The runs of both, from the folder where they are finished already."""
-    changes = options.overrides(sets)
-    catalogue = Catalogue(plugins)
-    plan = make_plan(names or _fitting(a, b, seed, catalogue), only=[a, b], runs=runs, seed=seed, keep=0,
-                     overrides=changes, catalogue=catalogue)
-    for cell in plan.cells:
-        missing = [name for name in (a, b) if name not in cell.entries]
-        if missing:
-            raise InputError(f"{cell.key} has no {' and no '.join(missing)}; it has {', '.join(cell.entries)}")
-    command = shlex.join(["railstate", *sys.argv[1:]])
-    return complete(plan, Path(out) if out else default_folder(plan), Machinery(jobs or os.cpu_count() or 1), command)
 
 
 def _fitting(a: str, b: str, seed: int, catalogue: Catalogue) -> list[str]:

@@ -64,8 +64,10 @@ def _same_source(plan: Plan, out: str, key: str, label: str) -> None:
     entry = next(cell.entries[label] for cell in plan.cells if cell.key == key)
     name, stored = entry.plugin, cell["estimators"][label]["source"]
     if name not in plan.catalogue.names():
-        raise InputError(f"{out}: {label} is the plug-in {name}, which is not the suite's own; name its file: "
-                         "--plugin FILE.py")
+        how = ("was given in Python, by value; only who gave it can run it again"
+               if Store(out).manifest()["estimators"][name]["given"] else
+               "is not the suite's own; name its file: --plugin FILE.py")
+        raise InputError(f"{out}: {label} is the plug-in {name}, which {how}")
     if plan.catalogue.own(name):
         return
     if plan.catalogue.source(name) != stored:

@@ -9,10 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from ...scenarios.errors import InputError
-from ..store.folder import inside
 from .options import names_in
 
-FORMATS = ("svg", "pdf", "png")
 PUBLISHED = "results/published/published.json"
 
 
@@ -24,9 +22,9 @@ def report(
         "results/published, where it is here.")] = PUBLISHED,
 ) -> None:
     """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
-    from ..telling.report import write_report
+    from ..api.results import load
 
-    path = write_report(folder, out, _published(published))
+    path = load(folder).report(out, _published(published))
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 
@@ -56,26 +54,9 @@ def plot(
     out: Annotated[str, typer.Option(help="Where to write (default: DIR/figures).")] = "",
 ) -> None:
     """Write the figures as files. Lines differ in dashes and markers as well, so that they survive grey."""
-    from ..telling.figures.catalogue import FIGURES, drawn
-    from ..telling.figures.data import load_results
+    from ..api.results import load
 
-    if format_ not in FORMATS:
-        raise InputError(f"--format {format_}: unknown; allowed: {', '.join(FORMATS)}")
-    names = [item.name for item in FIGURES]
-    if figure and figure not in names:
-        raise InputError(f"--figure {figure}: unknown; allowed: {', '.join(names)}")
-    target = Path(out) if out else Path(folder) / "figures"
-    results = load_results(folder, run=run, only=names_in(quantities), entries=names_in(entries), width=72 * width)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        written = 0
-        for item, scenario, variant, canvas in drawn(results, figure or None):
-            stem = "~".join(part for part in (item.name, scenario, variant) if part)
-            canvas.save(inside(target, f"{stem}.{format_}"))
-            written += 1
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error}") from None
-    if not written:
-        raise InputError(f"{folder}: has no data for this figure; settings' own figures and the example run need "
-                         "trajectories (railstate run --keep 1)")
-    print(f"{written} figures in {target}")
+    figures = load(folder).plot(figure, entries=names_in(entries), quantities=names_in(quantities), width=width,
+                                run=run)
+    target = out or str(Path(folder) / "figures")
+    print(f"{len(figures.save(target, format_))} figures in {target}")

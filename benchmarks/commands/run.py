@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ...estimators.interface import Status
 from ...scenarios.errors import InputError
-from ..judging.stopping import rule
-from ..planning.plan import make_plan
-from ..running.runner import Machinery
-from ..studies.complete import complete, default_folder
-from ..studies.until import complete_until
-from ..telling.console import hush
+from ..api import runs as api
 from ..telling.results import print_results, print_results_json
 from .options import (
     Balises,
@@ -39,7 +32,6 @@ from .options import (
     Track,
     Without,
     existing,
-    gigabytes,
     labels,
     meaning,
     names_in,
@@ -88,26 +80,15 @@ def run(
     files = {f"plant.{name}": existing(f"--{name}", path) for name, path in (("line", line), ("train", train)) if path}
     changes = {**overrides(set_), **files, **trips(recording),
                **meaning(map_, quality, missing, track, balises, from_, to, without)}
-    if batch < 0 or jobs < 0:
-        raise InputError("--batch and --jobs: must be 0 (chosen) or more")
-    if not timeout > 0:
-        raise InputError("--timeout: must be more than 0 seconds")
-    hush(quiet or json)
     again = names_in(retry)
     allowed = [status.name for status in Status if status is not Status.ok]
     if not set(again) <= set(allowed) or (retry and not again):
         raise InputError(f"--retry {retry}: expected statuses of lost rows; allowed: {', '.join(allowed)}")
-    plan = make_plan(scenarios or [], only=labels(estimators), runs=runs, seed=seed, keep=keep, overrides=changes,
-                     plugins=plugin)
-    folder = Path(out) if out else default_folder(plan)
-    machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout,
-                          gigabytes(memory))
-    command = shlex.join(["railstate", *sys.argv[1:]])
-    if until:
-        store = complete_until(plan, rule(until, runs), folder, machinery, command, retry=again, overwrite=overwrite)
-    else:
-        store = complete(plan, folder, machinery, command, retry=again, overwrite=overwrite)
+    found = api.run(scenarios or (), labels(estimators) or None, runs=runs, seed=seed, jobs=jobs, folder=out,
+                    overrides=changes, plugins=plugin, keep=keep, until=until, retry=again, overwrite=overwrite,
+                    batch=batch, backend=backend, scheduler=scheduler, timeout=timeout, memory=memory,
+                    quiet=quiet or json, command=shlex.join(["railstate", *sys.argv[1:]]))
     if json:
-        print_results_json(store)
+        print_results_json(found.store)
     elif not quiet:
-        print_results(store)
+        print_results(found.store)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -11,8 +10,9 @@ import typer
 
 from ...scenarios.augmented import Extra
 from ...scenarios.errors import InputError
-from ...scenarios.files import outline
-from ...scenarios.registry import scenario_files, settings
+from ...scenarios.inheritance import comes_from
+from ...scenarios.registry import settings
+from ..api.listing import estimator_lines, scenario_lines
 from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
 from ..telling.console import print_table
@@ -21,25 +21,12 @@ from .options import Sets, overrides
 
 def list_() -> None:
     """List scenarios with their variants, and estimators with what they need and claim."""
-    rows = []
-    for name in scenario_files():
-        table, variants = outline(name)
-        rows.append({"scenario": name, "about": table.get("title", ""),
-                     "variants": " ".join(variant for variant, usual in variants.items() if usual),
-                     "variants on request": " ".join(variant for variant, usual in variants.items() if not usual),
-                     "estimators": " ".join(table.get("estimators", {}))})
-    print_table("Scenarios", rows, ["A name alone means all its variants but those on request; where one is wanted, "
-                                    "the first."])
-    catalogue, lines = Catalogue(), []
-    for name in catalogue.names():
-        try:
-            found = catalogue[name]
-        except InputError as error:
-            warnings.warn(f"{error}: left out", stacklevel=2)
-        else:
-            lines.append({"estimator": name, "about": found.summary, "needs": " ".join(found.needs) or "-",
-                          "claims": " ".join(("mean", *found.claims))})
-    print_table("Estimators", lines)
+    print_table("Scenarios", [{key: value if isinstance(value, str) else " ".join(value) for key, value in line.items()}
+                              for line in scenario_lines()],
+                ["A name alone means all its variants but those on request; where one is wanted, the first."])
+    print_table("Estimators", [{"estimator": line["estimator"], "about": line["about"],
+                                "needs": " ".join(line["needs"]) or "-", "claims": " ".join(line["claims"])}
+                               for line in estimator_lines()])
 
 
 def show(
@@ -62,12 +49,16 @@ def show(
         raise InputError(f"{error}\nestimators: {', '.join(catalogue.names())}") from None
     config = scenario.setting(variant).config
     print(f"{scenario.name}/{variant}: {config.title}\nsource: {config.source}")
+    if scenario.layers[1:]:
+        print(f"base: {' over '.join(layer.where for layer in scenario.layers[-2::-1])}")
     print(f"variants: {', '.join(scenario.variants)}")
     for note in config.notes:
         print(f"note: {note}")
     for key in config.fitted:
         print(f"fitted: {key}")
-    rows = [{"key": key, "value": json.dumps(value), "origin": _origin(key, config.origin)}
+    rows = [{"key": key, "value": json.dumps(value),
+             "from": "/".join(filter(None, comes_from(key, scenario.layers, variant))) or "default",
+             "origin": _origin(key, config.origin)}
             for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
                                                                "estimators"}))]
     print_table("", rows)

@@ -4,6 +4,7 @@ The suite's own say it here; what is a stranger's is asked in a process of its o
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from ...estimators.interface import Estimator
-from ...estimators.registry import estimator_class, estimators, installed, load_file
+from ...estimators.registry import GIVEN, estimator_class, estimators, installed, load_file
 from ...scenarios.errors import InputError, describe
 from ...scenarios.source import source_hash
 from ..isolation.process import IMPORT, Ended, Isolation, isolation
@@ -39,6 +40,11 @@ class Described:
     hash: str = ""
     file: str = ""
 
+    @property
+    def given(self) -> bool:
+        """Whether it was given in Python, by value, and so is nowhere but in the process that gave it."""
+        return self.file.endswith(GIVEN)
+
 
 def said(name: str, cls: type[Estimator]) -> dict[str, Any]:
     """What a class says of itself: the fields of `Described`."""
@@ -55,8 +61,13 @@ def said(name: str, cls: type[Estimator]) -> dict[str, Any]:
 
 
 def said_by_file(path: str) -> list[dict[str, Any]]:
-    """What the classes of a loose file say of themselves."""
-    return [_said_apart(name, cls) for name, cls in load_file(path).items()]
+    """What the classes of a loose file say of themselves. The hash of one that was given by value is that of its pickle
+    and, where it lies in a module, of that too."""
+    found = [_said_apart(name, cls) for name, cls in load_file(path).items()]
+    if path.endswith(GIVEN):
+        for one in found:
+            one["hash"] = hashlib.sha256(Path(path).read_bytes() + one["hash"].encode()).hexdigest()[:16]
+    return found
 
 
 def said_by_installed(name: str) -> list[dict[str, Any]]:
@@ -90,7 +101,8 @@ class Catalogue:
         """Names of the estimators of loose files."""
         self.files = [str(Path(path).resolve()) for path in dict.fromkeys(files)]
         for path in dict.fromkeys(files):
-            for found in self._ask(path, said_by_file, str(Path(path).resolve())):
+            what = Path(path).stem if path.endswith(GIVEN) else path
+            for found in self._ask(what, said_by_file, str(Path(path).resolve())):
                 if found.name in self.loose:
                     raise InputError(f"{path}: an estimator named {found.name} is in {self._known[found.name].file} "
                                      "too; rename one")

@@ -111,15 +111,19 @@ class Plan:
 
 def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100, seed: int = 1, keep: int = 0,
               overrides: Mapping[str, Any] | None = None, plugins: Sequence[str] = (),
-              catalogue: Catalogue | None = None) -> Plan:
+              catalogue: Catalogue | None = None, entries: Mapping[str, Mapping[str, Any]] | None = None) -> Plan:
     """A plan from the command line's words.
 
     names: scenario names, NAME/VARIANT, or paths; none means every built-in scenario that needs no file of the user's.
-    only: estimator labels or plug-in names; none means each scenario's default ones. Raises InputError."""
+    only: estimator labels or plug-in names; none means each scenario's default ones. entries: more of [estimators], by
+    label, in every scenario. Raises InputError."""
     for flag, value in (("--runs", runs), ("--seed", seed + 1), ("--keep", keep + 1)):
         if value < 1:
             raise InputError(f"{flag}: must be at least {1 if flag == '--runs' else 0}")
     catalogue = catalogue or Catalogue(plugins)
+    changes = json.dumps(overrides or {}, sort_keys=True, default=str)
+    overrides = dict(overrides or {})
+    overrides.update({f"estimators.{label}": dict(entry) for label, entry in (entries or {}).items()})
     cells: list[Cell] = []
     for name in names or _self_contained():
         scenario, chosen = find(name, overrides)
@@ -136,8 +140,7 @@ def make_plan(names: Sequence[str], *, only: Sequence[str] = (), runs: int = 100
                         for label in find(name, overrides)[0].variants[find(name, overrides)[1][0]]["estimators"]})
         raise InputError(f"--estimators {','.join(only)}: none of these; allowed here: {', '.join(known)}, or the name "
                          f"of an installed estimator: {', '.join(catalogue.names())}")
-    return Plan(tuple(cells), runs, seed, keep, catalogue,
-                json.dumps(overrides or {}, sort_keys=True, default=str))
+    return Plan(tuple(cells), runs, seed, keep, catalogue, changes)
 
 
 def _content(cell: Cell) -> dict[str, Any]:

@@ -65,9 +65,12 @@ def grown(store: Store, plan: Plan, overwrite: bool = False) -> Growth:
         along = left_out if moved or plan.runs > stored["runs"] else []
         strangers = [label for label in along if stored["estimators"][label]["plugin"] not in plan.catalogue.names()]
         if strangers:
+            name = stored["estimators"][strangers[0]]["plugin"]
+            how = ("it was given in Python, by value: give it again"
+                   if manifest["estimators"][name]["given"] else "name its file with --plugin")
             raise InputError(f"{store.folder}: {cell.key}/{strangers[0]} has to be computed along "
                              f"({'the code changed' if moved else 'all of a cell have the same runs'}) and is not "
-                             "known here: name its file with --plugin, or choose another --out")
+                             f"known here: {how}, or choose another --out")
         entries = {**stored_cell(manifest, cell.key, dict.fromkeys(along)).entries, **cell.entries}
         order = [*(label for label in stored["estimators"] if label in entries), *cell.entries]
         whole.append(replace(cell, entries={label: entries[label] for label in dict.fromkeys(order)},

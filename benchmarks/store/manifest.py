@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, model_validator
 
+from ...estimators.registry import GIVEN
 from ...scenarios.schema import Label, Name
 from ...scenarios.setting import Setting
 from ..planning.catalogue import Catalogue
@@ -96,7 +97,7 @@ class AboutScenario(_Part):
 
 
 class AboutEstimator(_Part):
-    """What is told of an estimator."""
+    """What is told of an estimator. given: in Python, by value: only who gave it can compute its rows again."""
 
     summary: Text
     family: Annotated[str, Field(max_length=60)] = "Other"
@@ -105,6 +106,7 @@ class AboutEstimator(_Part):
     needs: list[str] = []
     oracle: bool
     smoother: bool = False
+    given: bool = False
 
 
 class StoredCell(_Part):
@@ -203,7 +205,7 @@ def description(plan: Plan) -> dict[str, Any]:
         "scenarios": scenarios,
         "estimators": {name: {field: getattr(one, field) for field in AboutEstimator.model_fields}
                        for name, one in plugins.items()},
-        "replay": {"plugins": plan.catalogue.files, "cells": {
+        "replay": {"plugins": [path for path in plan.catalogue.files if not path.endswith(GIVEN)], "cells": {
             cell.key: {"where": cell.where, "table": dict(cell.table),
                        "entries": {label: entry.model_dump() for label, entry in cell.entries.items()}}
             for cell in plan.cells}},

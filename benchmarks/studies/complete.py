@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from ...scenarios.errors import InputError, Interrupted
-from ...scenarios.registry import scenario_files
+from ...scenarios.inheritance import written
 from ...scenarios.source import source_hash
 from ..judging.table import summary, verdicts
 from ..planning.plan import Plan, own
@@ -38,8 +38,7 @@ def default_folder(plan: Plan) -> Path:
     as they are, under the plan's seed and number of kept trajectories."""
     names = list(dict.fromkeys(cell.scenario for cell in plan.cells))
     parts = [json.dumps([plan.seed, plan.keep, sorted(names)]), plan.changes]
-    parts += [Path(scenario_files().get(where, where)).read_text(encoding="utf-8")
-              for where in sorted({cell.where for cell in plan.cells})]
+    parts += [text for where in sorted({cell.where for cell in plan.cells}) for text in written(where)]
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:8]
     return Path("results") / f"{'+'.join(names) if len(names) < 3 else 'run'}-{digest}"
 

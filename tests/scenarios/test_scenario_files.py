@@ -119,13 +119,13 @@ def test_every_number_of_a_built_in_scenario_has_its_origin(name: str, railstate
     scenario = load(name)
     for variant in scenario.variants:
         lines = iter(railstate("show", f"{name}/{variant}").out.splitlines())
-        header = next(line for line in lines if line.split() == ["key", "value", "origin"])
-        value_at, origin_at = header.index("value"), header.index("origin")
+        header = next(line for line in lines if line.split() == ["key", "value", "from", "origin"])
+        value_at, from_at, origin_at = (header.index(name) for name in ("value", "from", "origin"))
         next(lines)  # the rule under the header
         for line in lines:
             if not line.strip():
                 break
-            key, value, origin = line[:value_at].strip(), line[value_at:origin_at], line[origin_at:].strip()
+            key, value, origin = line[:value_at].strip(), line[value_at:from_at], line[origin_at:].strip()
             if key and not key.startswith("score.") and any(letter.isdigit() for letter in value):
                 assert origin, f"{name}/{variant}: {key} = {value}"
 
@@ -134,3 +134,78 @@ def test_merge_replaces_a_table_of_another_kind() -> None:
     base = {"channel": {"kind": "csma", "p": 0.5, "trains": 2}, "plant": {"mass": 1, "length": 2}}
     merged = merge(base, {"channel": {"kind": "bernoulli", "p": 0.9}, "plant": {"mass": 3}})
     assert merged == {"channel": {"kind": "bernoulli", "p": 0.9}, "plant": {"mass": 3, "length": 2}}
+
+
+OWN = """
+name = "my-metro"
+title = "Stronger wind, and a filter that is told of it"
+base = "ningbo-metro"
+
+[disturbance]
+w_bar = 0.3
+[knowledge]
+w_bar = 0.3
+[estimators.cautious]
+plugin = "ekf"
+knowledge = { sigma_w = 0.4 }
+"""
+
+
+def test_a_file_over_a_base_says_what_is_its_own(railstate: Command) -> None:
+    """Eleven lines: all else is the base's, with its variants and origins; what comes from where is shown."""
+    Path("my-metro.toml").write_text(OWN)
+    own, base = load("my-metro.toml"), load("ningbo-metro")
+    assert list(own.variants) == list(base.variants) and own.default == base.default and own.requested == base.requested
+    for variant in ("switching", "physical-bias", "late"):
+        expected = merge(base.variants[variant], {"disturbance": {"w_bar": 0.3}, "knowledge": {"w_bar": 0.3}})
+        table = own.variants[variant]
+        assert {key: table[key] for key in ("time", "plant", "disturbance", "sensors", "knowledge", "score")} == {
+            key: expected[key] for key in ("time", "plant", "disturbance", "sensors", "knowledge", "score")}
+        assert own.content_hash(variant) != base.content_hash(variant)
+        assert table["estimators"].keys() == {*base.variants[variant]["estimators"], "cautious"}
+    origin = own.setting("switching").config.origin
+    assert origin["plant.train.braking"] == "public line set of Beijing Yizhuang"
+    assert origin["disturbance.w_bar"] == "set in my-metro.toml" and origin["sensors"] == "chosen here"
+    said = railstate("show", "my-metro.toml/white").out
+    assert "base: ningbo-metro" in said
+    lines = {line.split()[0]: line for line in said.splitlines() if line.strip()}
+    assert "my-metro.toml" in lines["disturbance.w_bar"] and "set in" in lines["disturbance.w_bar"]
+    assert "ningbo-metro/w" in lines["disturbance.form"]
+    assert "default" in lines["channel.silent"]
+
+
+def test_bases_are_files_variants_and_bases_of_bases(railstate: Command) -> None:
+    Path("sub").mkdir()
+    Path("sub/cart.toml").write_text(SCENARIO)
+    Path("rough.toml").write_text('name = "rough"\nbase = "sub/cart.toml/rough"\n[channel]\np = 0.5\n')
+    Path("rougher.toml").write_text('name = "rougher"\nbase = "rough.toml"\n[variants.less.channel]\np = 0.1\n')
+    rough, rougher = load("rough.toml"), load("rougher.toml")
+    assert list(rough.variants) == ["default"] and rough.variants["default"]["plant"]["Q"] == [[1.0]]
+    assert list(rougher.variants) == ["less"] and rougher.variants["less"]["channel"] == {"kind": "bernoulli", "p": 0.1}
+    assert rougher.variants["less"]["plant"] == rough.variants["default"]["plant"]
+    before = rough.content_hash("default")
+    Path("sub/cart.toml").write_text(SCENARIO.replace("steps = 40", "steps = 41"))
+    assert load("rough.toml").content_hash("default") != before  # the base is a part of it
+    Path("metro.toml").write_text('name = "m"\nbase = "ningbo-metro/late"\n')
+    assert load("metro.toml").variants.keys() == {"default"}
+    assert load("metro.toml").variants["default"]["channel"] == {"kind": "delay", "steps": 1}
+    assert not load("metro.toml").requested
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    ('name = "a"\nbase = "ningbo"\n', 'a.toml: base: ningbo: no such scenario and no such file'),
+    ('name = "a"\nbase = "ningbo-metro/whit"\n', 'a.toml: base: ningbo-metro has no variant "whit"; allowed: '),
+    ('name = "a"\nbase = 3\n', "a.toml: base: must be a scenario's name, NAME/VARIANT or the path"),
+    ('name = "a"\nbase = "b.toml"\n', "a.toml: base: leads back to itself"),
+    ('name = "a"\nbase = "b.toml/x"\n', "base: leads back to itself"),
+    ('base = "ningbo-metro"\n', "a.toml: name: missing"),
+    ('name = "a"\nbase = "ningbo-metro"\n[disturbance]\nw_bar = -1\n', "a.toml: disturbance.w_bar: "),
+    ('name = "a"\nbase = "bad.toml"\n', "a.toml: base bad.toml: variants.calm: channel.p: "),
+    ('name = "a"\nbase = "cart.toml"\n[channel]\nq = 1\n', "a.toml: variants.calm: channel.q: unknown key"),
+    ('name = "a"\nbase = "cart.toml"\n[origin]\n"plant.mass" = "x"\n', "a.toml: origin.plant.mass: names no key")])
+def test_a_bad_base_is_told_with_the_file_that_is_wrong(railstate: Command, text: str, expected: str) -> None:
+    Path("a.toml").write_text(text)
+    Path("b.toml").write_text('name = "b"\nbase = "a.toml/y"\n')
+    Path("bad.toml").write_text(SCENARIO.replace("p = 0.8", "p = 1.8"))
+    done = railstate("show", "a.toml")
+    assert done.code == 2 and done.err.startswith("error: ") and expected in done.err, done.err
