@@ -1,46 +1,145 @@
 """numba's decorators, with the machine code of each module kept in a folder named by all that it was compiled from.
 
 numba looks only at the file that holds a function; code compiled from an older helper in another file must not run. An
-edit has those modules compiled anew that import what was edited, and no others."""
+edit has those modules compiled anew that import what was edited, and no others. What one process is compiling another
+waits for, and loads."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from shutil import rmtree
+from time import monotonic, sleep
 from typing import Any
 
 from numba import cfunc as numba_cfunc
 from numba import njit as numba_njit
 from numba.core import config as numba_config
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 config: Any = numba_config
 SUITE = Path(__file__).resolve().parent.parent
 FOLDER = "railstate"
 KEPT = 8
 """How many folders of other versions of a module are left in their place."""
+PATIENCE = 120.0
+"""Seconds to wait for what another process compiles."""
 _IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """numba's njit."""
-    return lambda function: _decorated(function, numba_njit(**options))
+    def decorate(function: Callable[..., Any]) -> Any:
+        where = folder(Path(function.__code__.co_filename))
+        with _kept_in(where):
+            dispatcher: Any = numba_njit(**options)(function)
+        if where is not None:
+            dispatcher._cache = _Shared(dispatcher._cache, where / function.__name__)
+        return dispatcher
+
+    return decorate
 
 
 def cfunc(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """numba's cfunc."""
-    return lambda function: _decorated(function, numba_cfunc(*signature, **options))
+    """numba's cfunc, which compiles as it decorates."""
+    def decorate(function: Callable[..., Any]) -> Any:
+        where = folder(Path(function.__code__.co_filename))
+        with _kept_in(where), _Lock(where / function.__name__ if where else None):
+            return numba_cfunc(*signature, **options)(function)
+
+    return decorate
 
 
-def _decorated(function: Callable[..., Any], decorator: Callable[..., Any]) -> Any:
-    with _kept_in(folder(Path(function.__code__.co_filename))):
-        return decorator(function)
+class _Lock:
+    """Held by one process at a time for a kernel. Where that cannot be had, or takes too long, nobody waits."""
+
+    def __init__(self, kernel: Path | None) -> None:
+        self._kernel, self._file = kernel, -1
+
+    def __enter__(self) -> None:
+        if fcntl is None or self._kernel is None or self._file >= 0:
+            return
+        until = monotonic() + PATIENCE
+        with suppress(OSError):
+            self._file = os.open(f"{self._kernel}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            while monotonic() < until:
+                try:
+                    fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    return
+                except BlockingIOError:
+                    sleep(0.02)
+
+    def __exit__(self, *_: object) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+class _Shared:
+    """A kernel's cache in numba's form, which one process at a time fills: who finds nothing in it compiles, and saves
+    what came out; the others wait for that. Kernels call each other in no circle, so no two wait for each other."""
+
+    def __init__(self, cache: Any, kernel: Path) -> None:
+        self._cache, self._lock = cache, _Lock(kernel)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The machine code for a signature; None: to be compiled."""
+        found = self._cache.load_overload(signature, target)
+        if found is None:
+            self._lock.__enter__()
+            found = self._cache.load_overload(signature, target)
+            if found is not None:
+                self._lock.__exit__()
+            else:
+                _tell()
+        return found
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        """Keep what was compiled."""
+        try:
+            self._cache.save_overload(signature, data)
+        finally:
+            self._lock.__exit__()
+
+
+TELL = "RAILSTATE_TELL"
+
+
+@contextmanager
+def told(text: str) -> Iterator[None]:
+    """Who compiles first meanwhile, this process or one that it starts, says so on standard error, where a file is the
+    right to speak."""
+    with tempfile.TemporaryDirectory() as room:
+        token = Path(room) / "token"
+        token.write_text(text, encoding="utf-8")
+        os.environ[TELL] = str(token)
+        try:
+            yield
+        finally:
+            del os.environ[TELL]
+
+
+def _tell() -> None:
+    token = os.environ.get(TELL)
+    if token:
+        with suppress(OSError):
+            text = Path(token).read_text(encoding="utf-8")
+            os.unlink(token)
+            print(f"\r\x1b[2K{text}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -61,12 +160,17 @@ def folder(module: Path) -> Path | None:
     return place(stem, key(module))
 
 
-def key(*modules: Path) -> str:
-    """A hash of modules and of all that they import from their own package or from packages beside it."""
-    taken = list(modules)
+def closure(module: Path) -> list[Path]:
+    """A module and all that it imports from its own package or from packages beside it."""
+    taken = [module]
     for path in taken:
         taken += [found for found in _imported(path) if found not in taken]
-    return _hash(word for path in sorted(taken) for word in (path.parent.name, path.name, _text(path)))
+    return taken
+
+
+def key(module: Path) -> str:
+    """A hash of a module's closure."""
+    return _hash(word for path in sorted(closure(module)) for word in (path.parent.name, path.name, _text(path)))
 
 
 def _hash(words: Iterable[str]) -> str:

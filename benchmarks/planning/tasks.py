@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
+from ...estimators.registry import estimators
+from ...scenarios import machine_code
 from .plan import Plan, Task, own
 
 ROOM = 400e6
@@ -12,7 +17,8 @@ ROOM = 400e6
 
 
 def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
-    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first."""
+    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first; every
+    second has its estimators in another order, so that two processes side by side compile different things."""
     tasks: list[tuple[float, Task]] = []
     for cell in plan.cells:
         setting = cell.setting()
@@ -32,7 +38,18 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
                 block = tuple(runs[first:first + size])
                 weight = setting.batch_bytes() * len(block) * len(labels)
                 tasks.append((weight, plan.task(cell, labels, block)))
-    return [task for _, task in sorted(tasks, key=lambda item: -item[0])]
+    heavy = [task for _, task in sorted(tasks, key=lambda item: -item[0])]
+    return [_from_elsewhere(task) if place % 2 else task for place, task in enumerate(heavy)]
+
+
+def _from_elsewhere(task: Task) -> Task:
+    """The task with those estimators first that share least code with the first one."""
+    if not own(task.cell, task.labels[0]) or len(task.labels) < 3:
+        return task
+    modules = [sys.modules[estimators()[task.cell.entries[label].plugin].__module__] for label in task.labels]
+    code = [set(machine_code.closure(Path(str(module.__file__)))) for module in modules]
+    shared = {label: len(of & code[0]) for label, of in zip(task.labels, code, strict=True)}
+    return replace(task, labels=tuple(sorted(task.labels, key=shared.__getitem__)))
 
 
 def task_name(task: Task) -> str:

@@ -194,11 +194,13 @@ def quadratic_forms(vector, truth, matrix, out, lost):
                 gather3(matrix, np.arange(first, first + count), count, tile)
                 factorise(tile, factor, inverse, failed, False, count)
         elif first == 0:
-            factorise(matrix, factor, inverse, failed, False, 1)
+            factorise(matrix, factor, inverse, failed, False, np.int64(1))
             for s in range(1, width):
                 failed[s] = failed[0]
-                inverse[:, s] = inverse[:, 0]
-                factor[:, :, s] = factor[:, :, 0]
+                for i in range(n):
+                    inverse[i, s] = inverse[i, 0]
+                    for j in range(n):
+                        factor[i, j, s] = factor[i, j, 0]
         for i in range(n):
             mine, theirs, row = vector[i, first:first + count], truth[i, first:first + count], error[i, 0]
             for s in range(count):

@@ -189,6 +189,7 @@ def print_table(title: str, table: pd.DataFrame | Sequence[Mapping[str, Any]], n
     print()
 
 
+COMPILING = "compiling what this run needs for this version and this processor, once: up to two minutes"
 _hushed = False
 
 
@@ -217,7 +218,9 @@ def progress(total: int, unit: str) -> Iterator[Advance]:
 
     parts = (TextColumn("{task.description:32.32}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} "
              + unit), TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*parts, console=Console(stderr=True), transient=True) as bar:
+    from ...scenarios.machine_code import told
+
+    with told(COMPILING), Progress(*parts, console=Console(stderr=True), transient=True) as bar:
         job = bar.add_task("starting", total=total, rate="")
 
         def advance(count: int, what: str) -> None:

@@ -171,14 +171,15 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
     above the old value; verdict (S,): 0, 1 innovation matrix singular, 2 bound not finite (both with K = 0, P = Pi)."""
     n, runs = Pi.shape[0], Pi.shape[2]
     ny, nw = C.shape[0], gw.shape[1]
-    L, S, G, V, a, b = np.empty((6, n, n))
+    L, S, G = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    V, a, b = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     W, Cr, Rr, k, at = np.empty((ny, ny)), np.empty((ny, n)), np.empty((ny, ny)), np.empty((n, ny)), np.empty((n, n))
     p, row, scaled, u, g = np.empty(n), np.empty(max(n, ny)), np.empty(n), np.empty((n, nw)), np.empty((n, nw))
     columns, raw_gain, tall = np.empty((n, 2 + nw)), np.empty((n, n)), np.empty((n + 2 + nw + ny, ny + n))
     root, share, rows = np.empty(1 + nw + ny), np.empty(1 + nw + ny), np.empty(ny, dtype=np.int64)
     for s in range(runs):
-        sa, sc, sg, m = s if A.shape[2] > 1 else 0, s if C.shape[2] > 1 else 0, s if gw.shape[2] > 1 else 0, 0
-        sr = s if R.shape[2] > 1 else 0
+        sa, sc, sg = s if A.shape[2] > 1 else 0, s if C.shape[2] > 1 else 0, s if gw.shape[2] > 1 else 0
+        sr, m = s if R.shape[2] > 1 else 0, np.int64(0)
         verdict[s] = 0
         for j in range(ny):
             if received[j, s]:
@@ -190,7 +191,9 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
             for l in range(m):
                 Rr[j, l] = R[rows[j], rows[l], sr]
         if m == 0 and not moved[s]:
-            P[:, :, s] = Pi[:, :, s]
+            for i in range(n):
+                for l in range(n):
+                    P[i, l, s] = Pi[i, l, s]
             continue
         c2 = 0.0
         for i in range(n):
@@ -223,7 +226,9 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
         good, last, begun, sigma, now, best = True, np.inf, np.nan, 0.0, 0.0, 0.0
         raw = ellipsoid and m == n and raw_measurement(L, g, Cr, Rr, raw_gain, G, V, u, row)
         if raw:
-            k[:, :n] = raw_gain
+            for i in range(n):
+                for j in range(n):
+                    k[i, j] = raw_gain[i, j]
         for turn in range(MOST):
             _complement(k, Cr, m, G)
             now, best = _multipliers(G, k, m, L, p, c2, M, g, Rr, ellipsoid, root)
@@ -251,5 +256,7 @@ def recursive_step(Pi, moved, A, M, N, kappa, gw, C, R, received, ellipsoid, K, 
             for j in range(m):
                 K[i, rows[j], s] = k[i, j]
         _bound(G, k, m, L, p, c2, best, M, g, Rr, share, ellipsoid, a, columns, S)
-        P[:, :, s] = S
+        for i in range(n):
+            for l in range(n):
+                P[i, l, s] = S[i, l]
         stability[s] = max(stability[s], contraction(G, at, M, scaled, a, b))

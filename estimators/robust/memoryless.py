@@ -47,24 +47,29 @@ def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
         total = 0.0
         for i in range(n):
             total += g0[i] * slope[i]
+        for i in range(n):
+            g[i] = 0.0
         if total <= nu * beta * beta:
-            g[:] = 0.0
             return
         # W^-1 g0 is the steepest way down from the kink.
-        g[:] = 0.0
         kink = _value(g, g0, Q0, beta, nu)[0]
-        trial[:] = slope
+        for i in range(n):
+            trial[i] = slope[i]
         f = kink
         for _ in range(60):
-            g[:] = trial
+            for i in range(n):
+                g[i] = trial[i]
             f = _value(g, g0, Q0, beta, nu)[0]
             if f < kink:
                 break
-            trial *= 0.5
+            for i in range(n):
+                trial[i] *= 0.5
         if not _value(g0, g0, Q0, beta, nu)[0] > f:
-            g[:] = g0
+            for i in range(n):
+                g[i] = g0[i]
     else:
-        g[:] = g0
+        for i in range(n):
+            g[i] = g0[i]
     f, q, inner = _value(g, g0, Q0, beta, nu)
     for _ in range(60):
         if q <= 0.0:
@@ -122,18 +127,23 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
     where it is above the old value; verdict (S,): 0, 1 innovation matrix singular, 2 not finite (both with K = 0),
     3 P << mu I does not hold at the optimum without it (numbers written)."""
     n, ny, nw, runs = A.shape[0], C.shape[0], Bw.shape[1], kappa.shape[0]
-    S, Q0, G, H, a, b = np.empty((6, n, n))
+    S, Q0, G = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    H, a, b = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     V, Cr, k, rows = np.empty((ny, ny)), np.empty((ny, n)), np.empty((n, ny)), np.empty(ny, dtype=np.int64)
     at, g, g0, slope, trial, scaled = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     seen, gained = np.empty(ny), np.empty(ny)
     for s in range(runs):
-        sa, sc, sb, m = s if A.shape[2] > 1 else 0, s if C.shape[2] > 1 else 0, s if Bw.shape[2] > 1 else 0, 0
+        sa, sc, sb = s if A.shape[2] > 1 else 0, s if C.shape[2] > 1 else 0, s if Bw.shape[2] > 1 else 0
+        m = np.int64(0)
         verdict[s] = 0
-        K[:, :, s] = 0.0
+        for i in range(n):
+            for j in range(ny):
+                K[i, j, s] = 0.0
         for j in range(ny):
             if received[j, s]:
                 rows[m] = j
-                Cr[m] = C[j, :, sc]
+                for i in range(n):
+                    Cr[m, i] = C[j, i, sc]
                 m += 1
         if m == 0 and not moved[s]:
             continue
@@ -141,7 +151,8 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
         for i in range(n):
             scaled[i] = kappa[s] * N[i]
             nu += scaled[i] * scaled[i]
-            at[i] = A[i, :, sa]
+            for j in range(n):
+                at[i, j] = A[i, j, sa]
         nu = 0.0 if nu <= TINY else nu
         for i in range(n):
             for j in range(n):
@@ -178,7 +189,8 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
             for j in range(m):
                 beta += seen[j] * gained[j]
             _residual(k, Cr, m, S, D, rows, M, G, Q0, g0, a)
-            g[:] = g0
+            for i in range(n):
+                g[i] = g0[i]
             if nu > 0.0 and beta > 0.0:
                 _reject(g, g0, Q0, beta, nu, H, slope, trial)
                 for i in range(n):
@@ -219,8 +231,9 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
         elif m > 0 and not largest_eigenvalue(H) < mu:
             verdict[s] = 3
         if good:
-            for j in range(m):
-                K[:, rows[j], s] = k[:, j]
+            for i in range(n):
+                for j in range(m):
+                    K[i, rows[j], s] = k[i, j]
 
 
 @kernel

@@ -154,7 +154,13 @@ def reduce(H, m, keep, s):  # pyright: ignore
     n = H.shape[0]
     size, old = np.empty(m), H[:, :m, s].copy()
     lengths(H, m, s, size)
-    order = np.argsort(-size, kind="mergesort")
+    order = np.arange(m)
+    for j in range(1, m):  # by falling length, equal ones as they stood
+        own, k = order[j], j
+        while k > 0 and size[order[k - 1]] < size[own]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = own
     for i in range(n):
         for j in range(keep - n):
             H[i, j, s] = old[i, order[j]]
