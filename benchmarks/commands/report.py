@@ -22,9 +22,9 @@ def report(
         "results/published, where it is here.")] = PUBLISHED,
 ) -> None:
     """Write DIR/report.html: one self-contained page with verdicts, tables and figures."""
-    from ..api.results import load
+    from ..telling.report import write_report
 
-    path = load(folder).report(out, _published(published))
+    path = write_report(folder, out, _published(published))
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 

@@ -371,6 +371,6 @@ def test_more_runs_and_estimators_go_where_the_first_went(railstate: Command) ->
     [folder] = Path("results").iterdir()
     assert len(Store(folder).rows()) == 6
     assert railstate("run", "cart.toml/calm", "--runs", 2, "--estimators", "ekf", "--seed", 2).code == 0
-    Path("cart.toml").write_text(Path("cart.toml").read_text() + "\n# another text\n")
+    Path("cart.toml").write_text(Path("cart.toml").read_text().replace("x0 = [0, 1]", "x0 = [0, 2]"))
     assert railstate("run", "cart.toml/calm", "--runs", 2, "--estimators", "ekf").code == 0
     assert len(list(Path("results").iterdir())) == 3
