@@ -20,6 +20,7 @@ from typer.main import get_group
 
 from ..scenarios.errors import InputError, Interrupted
 from .isolation.server import worded
+from .telling.cleaning import Cleaned, visible
 
 COMMANDS = {
     "run": ("run", "run", "Run estimators on scenarios and print the tables."),
@@ -87,13 +88,15 @@ def main() -> None:
         text = worded(str(message), category, file, line)
         if text not in said:  # once, from however many processes
             said.add(text)
-            print(f"warning: {text}", file=sys.stderr)
+            print(f"warning: {visible(text)}", file=sys.stderr)
 
     warnings.showwarning = warn
     kept: Sequence[int] = ()
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed: nobody reads it, the work is done all the same
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = map(Cleaned, streams)
     try:
         kept = _end_on_sigterm()
         app()
@@ -119,6 +122,7 @@ def main() -> None:
         process = sys.modules.get(f"{__package__}.isolation.process")
         if process is not None:
             process.end_idle()
+        sys.stdout, sys.stderr = streams
         for number in kept:
             signal.signal(number, signal.SIG_DFL)
 

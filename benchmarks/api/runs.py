@@ -7,11 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...scenarios.errors import InputError
 from ..judging.stopping import rule
 from ..planning.catalogue import Catalogue
 from ..planning.plan import make_plan
-from ..running.runner import Machinery
+from ..running.machinery import machinery
 from ..studies.complete import complete, default_folder
 from ..studies.until import complete_until
 from ..telling.console import hush
@@ -43,19 +42,14 @@ def run(scenario: str | Path | Sequence[str | Path] = (), estimators: Any = None
     given = taken(estimators)
     command = command or _call(names, given, runs, seed, folder, overrides)
     hush(quiet)
-    if batch < 0 or jobs < 0:
-        raise InputError("--batch and --jobs: must be 0 (chosen) or more")
-    if not timeout > 0:
-        raise InputError("--timeout: must be more than 0 seconds")
+    how = machinery(jobs, batch, backend, scheduler, timeout, memory)
     plan = make_plan([str(name) for name in names], only=given.only, runs=runs, seed=seed, keep=keep,
                      overrides=overrides, catalogue=Catalogue([*plugins, *given.files]), entries=given.entries)
     place = Path(folder) if folder else default_folder(plan)
-    machinery = Machinery(jobs or os.cpu_count() or 1, batch or None, backend, scheduler or None, timeout,
-                          int(memory * 1e9))
     if until:
-        return Results(complete_until(plan, rule(until, runs), place, machinery, command, retry=retry,
+        return Results(complete_until(plan, rule(until, runs), place, how, command, retry=retry,
                                       overwrite=overwrite))
-    return Results(complete(plan, place, machinery, command, retry=retry, overwrite=overwrite))
+    return Results(complete(plan, place, how, command, retry=retry, overwrite=overwrite))
 
 
 def _call(names: Sequence[Any], given: Given, runs: int, seed: int, folder: Any, overrides: Any) -> str:

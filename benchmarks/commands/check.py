@@ -15,7 +15,8 @@ from ..conformance import Finding, Report
 from ..isolation.process import Ended
 from ..planning.catalogue import Catalogue
 from ..planning.naming import located
-from .options import Memory, gigabytes, overrides
+from ..running.machinery import machinery
+from .options import Memory, Timeout, overrides
 
 
 def check(
@@ -24,7 +25,7 @@ def check(
         help="Scenario, NAME/VARIANT or TOML file; none: chosen by what it needs.")] = "",
     parameter: Annotated[list[str] | None, typer.Option(
         metavar="KEY=VALUE", help="A parameter of the estimator.")] = None,
-    timeout: Annotated[float, typer.Option(min=1.0, help="Seconds after which a plug-in counts as hung.")] = 300.0,
+    timeout: Timeout = 300.0,
     memory: Memory = 0.0,
 ) -> None:
     """Check that an estimator keeps the rules of the suite; exit code 1 if it does not."""
@@ -32,13 +33,14 @@ def check(
 
     is_file = name.endswith(".py") or Path(name).is_file()
     catalogue = Catalogue([name] if is_file else [])
+    how = machinery(1, timeout=timeout, memory=memory)
     given = overrides(parameter or [], "--parameter", "gain=0.5")
     broken = 0
     for plugin in catalogue.loose or [name]:
         if plugin in estimators():
             report = conform(estimators()[plugin], plugin, given, scenario)
         else:
-            with catalogue.process(plugin, timeout, gigabytes(memory)) as process:
+            with catalogue.process(plugin, how.timeout, how.memory) as process:
                 report = _report(process.call(_check, plugin, given, located(scenario)))
         _print(plugin, report)
         broken += len(report.findings)

@@ -43,6 +43,11 @@ def compare(
     fail_on: Annotated[str, typer.Option(metavar="worse|different|METRIC:QUANTITY>PERCENT%", help=
         "Exit code 1 where B is significantly worse anywhere; for folders, where any row differs; or where an error of "
         "B is shown to be larger by more than this, such as \"rmse:position>5%\". Several: with a comma.")] = "",
+    batch: options.Batch = 0,
+    backend: options.Backend = "local",
+    scheduler: options.Scheduler = "",
+    timeout: options.Timeout = 900.0,
+    memory: options.Memory = 0.0,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -69,6 +74,7 @@ def compare(
         different = False
         results = api.run(scenario or _fitting(a, b, seed, Catalogue(plugin)), [a, b], runs=runs, seed=seed, jobs=jobs,
                           overrides=options.overrides(set_), plugins=plugin, folder=out, keep=0, quiet=not show,
+                          batch=batch, backend=backend, scheduler=scheduler, timeout=timeout, memory=memory,
                           command=shlex.join(["railstate", *sys.argv[1:]]))
         found, timing = results.comparisons(a, b), results.timing()
         speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")

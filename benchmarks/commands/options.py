@@ -35,15 +35,14 @@ To = Annotated[float | None, typer.Option("--to", help="Leave out what is after,
 Without = Annotated[list[str], typer.Option("--without", metavar="FROM..TO",
                                             help="Leave out these seconds of the recording.")]
 
+Batch = Annotated[int, typer.Option(help="Runs computed together (0: chosen). Does not change a row.")]
+Backend = Annotated[str, typer.Option(help="local, or dask: a cluster.")]
+Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="Of the cluster's scheduler, as tcp://host:8786.")]
+Timeout = Annotated[float, typer.Option(help="Seconds after which a task counts as hung.")]
 Memory = Annotated[float, typer.Option("--memory", metavar="GB", min=0.0,
                                        help="Memory a plug-in's process may take (0: a share of the machine's).")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing: no tables, no progress.")]
-
-
-def gigabytes(memory: float) -> int:
-    """`--memory` in bytes."""
-    return int(memory * 1e9)
 
 
 def names_in(text: str) -> list[str]:

@@ -12,11 +12,12 @@ import typer
 from ...scenarios.errors import InputError
 from ..planning.catalogue import Catalogue
 from ..planning.plan import Plan, make_plan
-from ..running.runner import Machinery, apart
+from ..running.machinery import machinery
+from ..running.runner import apart
 from ..scoring.columns import metric_columns
 from ..store.folder import Store
 from ..store.manifest import stored_plan
-from .options import Memory, Plugins, gigabytes
+from .options import Memory, Plugins, Timeout
 
 
 def replay(
@@ -24,7 +25,7 @@ def replay(
     out: Annotated[str, typer.Option(help="The results folder the row stands in.")] = "",
     seed: Annotated[int, typer.Option(help="Root seed, where no folder is given.")] = 1,
     plugin: Plugins = [],  # noqa: B006
-    timeout: Annotated[float, typer.Option(min=1.0, help="Seconds after which the run counts as hung.")] = 900.0,
+    timeout: Timeout = 900.0,
     memory: Memory = 0.0,
 ) -> None:
     """Run one row again, in a process of its own; with --out compare it with the stored one."""
@@ -43,8 +44,8 @@ def replay(
         raise InputError(f"{row}: {out or 'the scenario'} holds no such estimator; it holds {known}")
     if out:
         _same_source(plan, out, cell.key, label)
-    machinery = Machinery(1, timeout=timeout, memory=gigabytes(memory))
-    again = apart([plan.task(cell, (label,), (int(number),))], machinery).to_pandas()
+    how = machinery(1, timeout=timeout, memory=memory)
+    again = apart([plan.task(cell, (label,), (int(number),))], how).to_pandas()
     found = again.iloc[0]
     print(f"{row}: {found['status']}" + (f": {found['reason']}" if found["reason"] else ""))
     for column, metric, quantity, unit in metric_columns(again):

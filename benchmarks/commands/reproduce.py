@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -14,12 +13,13 @@ import typer
 
 from ...scenarios.errors import InputError
 from ..planning.plan import Plan
-from ..running.runner import Machinery
+from ..running.machinery import machinery
 from ..store.folder import Store
 from ..studies.complete import complete, default_folder
+from ..telling.cleaning import csv
 from ..telling.console import hush, print_json, print_table
 from ..telling.markup import to_latex, to_markdown
-from .options import Jobs, Json, Seed
+from .options import Backend, Batch, Jobs, Json, Memory, Scheduler, Seed, Timeout
 
 RUNS, SEED = 400, 1
 """Those of the committed tables."""
@@ -34,6 +34,11 @@ def reproduce(
         help="Folder for published.csv, .json, .md and .tex (results/published for the whole of it).")] = "",
     rows: Annotated[str, typer.Option(help="Folder for the rows behind it; continued if unfinished.")] = "",
     as_json: Json = False,
+    batch: Batch = 0,
+    backend: Backend = "local",
+    scheduler: Scheduler = "",
+    timeout: Timeout = 900.0,
+    memory: Memory = 0.0,
 ) -> None:
     """Set our numbers beside the published ones. Exits with 1 when a verdict is not the expected one."""
     from ..published import tables
@@ -41,6 +46,7 @@ def reproduce(
     from ..published.reproduce import plan_for
     from ..published.reproduce import reproduce as reproduced
 
+    how = machinery(jobs, batch, backend, scheduler, timeout, memory)
     hush(as_json)
     if runs < 2:
         raise InputError("--runs: must be at least 2, or no number has an error to be judged by")
@@ -51,12 +57,11 @@ def reproduce(
     frame = pd.DataFrame()
     if plan.cells:
         folder = Path(rows) if rows else default_folder(plan)
-        frame = complete(plan, folder, Machinery(jobs or os.cpu_count() or 1),
-                         shlex.join(["railstate", *sys.argv[1:]]), timing=False).rows()
+        frame = complete(plan, folder, how, shlex.join(["railstate", *sys.argv[1:]]), timing=False).rows()
     done = reproduced(chosen, frame)
     store, summary, document = Store(out), tables.counts(done), tables.document(done, runs, seed)
     Path(out).mkdir(parents=True, exist_ok=True)
-    store.write_text("published.csv", tables.table(done).to_csv(index=False))
+    store.write_text("published.csv", csv(tables.table(done)))
     store.write_text("published.json", json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     printed = [one for each in done for one in tables.printed(each)]
     store.write_text("published.md", "\n".join(to_markdown(*one) for one in

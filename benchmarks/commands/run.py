@@ -13,7 +13,9 @@ from ...scenarios.errors import InputError
 from ..api import runs as api
 from ..telling.results import print_results, print_results_json
 from .options import (
+    Backend,
     Balises,
+    Batch,
     Estimators,
     From,
     Jobs,
@@ -26,8 +28,10 @@ from .options import (
     Quiet,
     Recording,
     Runs,
+    Scheduler,
     Seed,
     Sets,
+    Timeout,
     To,
     Track,
     Without,
@@ -47,7 +51,7 @@ def run(
     runs: Runs = 100,
     seed: Seed = 1,
     jobs: Jobs = 0,
-    batch: Annotated[int, typer.Option(help="Runs computed together (0: chosen). Does not change a row.")] = 0,
+    batch: Batch = 0,
     out: Annotated[str, typer.Option(help="Results folder; what it lacks is added.")] = "",
     set_: Sets = [],  # noqa: B006
     plugin: Plugins = [],  # noqa: B006
@@ -63,9 +67,9 @@ def run(
     from_: From = None,
     to: To = None,
     without: Without = [],  # noqa: B006
-    backend: Annotated[str, typer.Option(help="local, or a joblib cluster backend: dask, ray.")] = "local",
-    scheduler: Annotated[str, typer.Option(help="Address of the cluster's scheduler.")] = "",
-    timeout: Annotated[float, typer.Option(help="Seconds after which a task counts as hung.")] = 900.0,
+    backend: Backend = "local",
+    scheduler: Scheduler = "",
+    timeout: Timeout = 900.0,
     memory: Memory = 0.0,
     retry: Annotated[str, typer.Option(metavar="STATUS,..", help="Statuses to compute anew: crashed,timeout,..")] = "",
     overwrite: Annotated[bool, typer.Option(

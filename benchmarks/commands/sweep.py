@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -24,16 +23,33 @@ from ..judging.table import framed, verdicts_of
 from ..planning.naming import find_one
 from ..planning.plan import Plan, make_plan, own
 from ..running.drive import prepare
-from ..running.runner import Machinery
+from ..running.machinery import machinery
 from ..store.folder import Store
 from ..studies.complete import complete
+from ..telling.cleaning import csv
 from ..telling.console import print_table
 from ..telling.marks import MARKS
 from ..telling.markup import to_markdown
 from ..telling.rankings import records
 from ..telling.report.sweep import DESCRIPTION, VALUES, Sweep
 from ..telling.wording import bracket, number, plus_minus, ratio, value_words
-from .options import Estimators, Jobs, Plugins, Runs, Seed, Sets, labels, names_in, overrides, value
+from .options import (
+    Backend,
+    Batch,
+    Estimators,
+    Jobs,
+    Memory,
+    Plugins,
+    Runs,
+    Scheduler,
+    Seed,
+    Sets,
+    Timeout,
+    labels,
+    names_in,
+    overrides,
+    value,
+)
 
 
 def sweep(
@@ -47,6 +63,11 @@ def sweep(
     out: Annotated[str, typer.Option(help="Folder for rows, sweep.csv and plots.")] = "",
     set_: Sets = [],  # noqa: B006
     plugin: Plugins = [],  # noqa: B006
+    batch: Batch = 0,
+    backend: Backend = "local",
+    scheduler: Scheduler = "",
+    timeout: Timeout = 900.0,
+    memory: Memory = 0.0,
 ) -> None:
     """Run a scenario (its default variant unless one is named) at each value of a key; its requirements go into one
     table over all of them."""
@@ -60,14 +81,14 @@ def sweep(
     folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key in axes)}")
     plans = [make_plan([name], only=labels(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
                        plugins=plugin) for point in points]
-    machinery = Machinery(jobs or os.cpu_count() or 1)
+    how = machinery(jobs, batch, backend, scheduler, timeout, memory)
     command = shlex.join(["railstate", *sys.argv[1:]])
     summaries: list[pd.DataFrame] = []
     reasons: dict[tuple[str, ...], dict[str, str]] = {}
     shown: list[tuple[str, str]] = []
     for point, plan in zip(points, plans, strict=True):
         label = ",".join(f"{key}={_plain(item)}" for key, item in point.items())
-        store = complete(plan, folder / label.replace("/", "_"), machinery, command, timing=False)
+        store = complete(plan, folder / label.replace("/", "_"), how, command, timing=False)
         rows = store.rows()
         summary, designed = verdicts_of(store), _design_seconds(plan)
         summary = pd.concat([summary, designed], ignore_index=True) if len(designed) else summary
@@ -80,7 +101,7 @@ def sweep(
     table = pd.concat(summaries, ignore_index=True)
     told = Sweep(name, list(axes), [list(pair) for pair in _wanted(metric, table) or shown], names, runs, seed,
                  {" | ".join(map(str, point)): why for point, why in reasons.items()}, command)
-    Store(folder).write_text(VALUES, table.to_csv(index=False))
+    Store(folder).write_text(VALUES, csv(table))
     Store(folder).write_text(DESCRIPTION, told.written())
     plots = 0
     for pair in told.shown:
@@ -178,7 +199,7 @@ def _requirements(store: Store, name: str, table: pd.DataFrame, keys: list[str],
                                                                 f"{value_words(line)}; {line['note']}"), notes))
     columns = {"estimator": "estimator", "quantity": "requirement", "against": "asked", "verdict": "verdict",
                "value": "share", "low": "low", "high": "high", "runs": "runs", "deciding": "deciding", "note": "sizes"}
-    store.write_text("requirements.csv", part[[*keys, *columns]].rename(columns=columns).to_csv(index=False))
+    store.write_text("requirements.csv", csv(part[[*keys, *columns]].rename(columns=columns)))
 
 
 def _axis(text: str) -> tuple[str, list[Any]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import sys
 from dataclasses import asdict
@@ -16,13 +15,26 @@ import typer
 from ...scenarios.errors import InputError
 from ..planning.catalogue import Catalogue
 from ..planning.naming import find_one
-from ..running.runner import Machinery
+from ..running.machinery import machinery
 from ..store.provenance import environment
 from ..studies.entries import toml
 from ..studies.search import parse_axis, parse_constraint
 from ..studies.tune import CONSTRAINTS, GREATER, Task, Tuned, tune
 from ..telling.console import print_table
-from .options import Jobs, Plugins, Runs, Seed, Sets, names_in, overrides
+from .options import (
+    Backend,
+    Batch,
+    Jobs,
+    Memory,
+    Plugins,
+    Runs,
+    Scheduler,
+    Seed,
+    Sets,
+    Timeout,
+    names_in,
+    overrides,
+)
 
 
 def tune_(
@@ -49,8 +61,14 @@ def tune_(
                                      "came about.")] = "",
     plugin: Plugins = [],  # noqa: B006
     set_: Sets = [],  # noqa: B006
+    batch: Batch = 0,
+    backend: Backend = "local",
+    scheduler: Scheduler = "",
+    timeout: Timeout = 900.0,
+    memory: Memory = 0.0,
 ) -> None:
     """Tune an estimator on training runs, show it beside the untuned one on the table's, print its entry as TOML."""
+    how = machinery(jobs, batch, backend, scheduler, timeout, memory)
     axes = [parse_axis(part) for part in names_in(over)]
     aims = tuple((metric, quantity) for metric, _, quantity in (part.partition(":") for part in names_in(objective)))
     if not axes or not aims or not all(quantity for _, quantity in aims):
@@ -69,7 +87,7 @@ def tune_(
     found, variant = find_one(scenario, fixed)
     name = scenario[:-len(variant) - 1] if scenario.endswith(f"/{variant}") else scenario
     begun = datetime.now(UTC)
-    task = Task(found, name, variant, estimator, fixed, aims, runs, seed, Machinery(jobs or os.cpu_count() or 1),
+    task = Task(found, name, variant, estimator, fixed, aims, runs, seed, how,
                 Catalogue(plugin), tuple(map(parse_constraint, subject_to)), tuple(names_in(beside)), limit)
     tuned = tune(task, axes, allowed)
     best = ", ".join(f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"

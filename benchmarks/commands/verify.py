@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from typing import Annotated
 
 import typer
 
 from ..planning.catalogue import Catalogue
-from ..running.runner import Machinery
+from ..running.machinery import machinery
 from ..store.folder import Store
 from ..studies.verify import verify
 from ..telling.console import wrapped
-from .options import Jobs, Memory, Plugins, gigabytes
+from .options import Jobs, Memory, Plugins, Timeout
 
 
 def verify_(
@@ -21,14 +20,14 @@ def verify_(
     seed: Annotated[int, typer.Option(help="Of the draw.")] = 1,
     plugin: Plugins = [],  # noqa: B006
     jobs: Jobs = 0,
-    timeout: Annotated[float, typer.Option(min=1.0, help="Seconds after which a computation counts as hung.")] = 900.0,
+    timeout: Timeout = 900.0,
     memory: Memory = 0.0,
 ) -> None:
     """Make a folder's tables anew from its rows and compare, compute a sample of its rows anew and compare to the bit.
 
     Exit code 0 only if all that could be checked agrees; what could not is said, and why."""
-    machinery = Machinery(jobs or os.cpu_count() or 1, timeout=timeout, memory=gigabytes(memory))
-    found = verify(Store(folder), Catalogue(plugin), machinery, rows, seed)
+    how = machinery(jobs, timeout=timeout, memory=memory)
+    found = verify(Store(folder), Catalogue(plugin), how, rows, seed)
     for line in found.checked:
         wrapped(line)
     for line in found.unchecked:

@@ -20,11 +20,13 @@ from ..judging.table import summary, verdicts
 from ..planning.plan import Plan, own
 from ..planning.tasks import task_name
 from ..running.latency import timing_table
-from ..running.runner import Machinery, run
+from ..running.machinery import Machinery
+from ..running.runner import run
 from ..scoring.columns import TIMING
 from ..store.folder import Store
 from ..store.growth import OVERWRITTEN, Growth, grown
 from ..store.provenance import other_versions
+from ..telling.cleaning import csv
 from ..telling.console import progress
 from ..telling.markup import to_latex, to_markdown
 from ..telling.rankings import cells_of
@@ -145,13 +147,13 @@ def write_tables(store: Store, rows: pd.DataFrame) -> None:
 def texts(table: pd.DataFrame, rows: pd.DataFrame, manifest: Mapping[str, Any], timing: pd.DataFrame | None
           ) -> Iterator[tuple[str, str]]:
     """(name, text) of the files that are made from rows and their verdicts: verdicts.csv, summary.csv, tables/*."""
-    yield "verdicts.csv", table.to_csv(index=False)
-    yield "summary.csv", summary(table).to_csv(index=False)
+    yield "verdicts.csv", csv(table)
+    yield "summary.csv", csv(summary(table))
     for cell in cells_of(table, manifest, timing):
         notes = [caption(cell), *notes_of(cell.about["variants"][cell.variant])]
         yield from _both(f"{cell.scenario}~{cell.variant}", cell.key, cell_table(cell), notes)
     for key, frame in outage_tables(rows):
-        yield f"tables/{key.replace('/', '~')}~outages.csv", frame.to_csv(index=False)
+        yield f"tables/{key.replace('/', '~')}~outages.csv", csv(frame)
     for title, frame in window_tables(table, manifest):
         cell, _, what = title.partition(": ")
         yield from _both(f"{cell.replace('/', '~')}~{what.split()[2]}", title, frame, [])

@@ -20,8 +20,9 @@ from ...scenarios.errors import InputError
 from ...scenarios.files import Scenario
 from ..planning.catalogue import Catalogue
 from ..planning.plan import make_plan
+from ..running.machinery import Machinery
 from ..running.result import joined
-from ..running.runner import Machinery, run
+from ..running.runner import run
 from .deadline import Overdue, within
 from .entries import put
 from .search import Axis, Constraint, Found, search

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..judging.stopping import Rule, first_runs
 from ..planning.plan import Plan
-from ..running.runner import Machinery
+from ..running.machinery import Machinery
 from ..store.folder import Store
 from .complete import complete, write_tables
 

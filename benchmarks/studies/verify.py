@@ -17,12 +17,14 @@ from ..judging.comparison import same_rows
 from ..judging.table import verdicts
 from ..planning.catalogue import Catalogue
 from ..planning.plan import Plan, Task
-from ..running.runner import Machinery, apart
+from ..running.machinery import Machinery
+from ..running.runner import apart
 from ..scoring.columns import IDENTITY
 from ..store.folder import Store
 from ..store.growth import CODE
 from ..store.manifest import stored_plan
 from ..store.provenance import environment, other_versions
+from ..telling.cleaning import csv
 from .complete import texts
 
 OTHER = "their scenario, as the manifest tells it, is not the one that its hash there tells of"
@@ -82,7 +84,7 @@ def _files(store: Store, manifest: dict[str, Any], rows: pd.DataFrame, found: Ve
         except (OSError, UnicodeDecodeError):
             wrong.append(f"{name} (cannot be read)")
     written = store.verdicts()
-    if written is not None and written.to_csv(index=False) != wanted["verdicts.csv"]:
+    if written is not None and csv(written) != wanted["verdicts.csv"]:
         wrong.append("verdicts.parquet")
     if wrong:
         found.wrong.append(f"tables: {len(wrong)} of {len(wanted) + 1} files are not what the rows give: "

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .marks import ASCII
+from .cleaning import plain, raw, visible
 from .wording import numeric
 
 if TYPE_CHECKING:
@@ -40,31 +40,18 @@ def columns() -> int:
     return max(NARROWEST, found if sys.stdout.isatty() else min(found, WIDE))
 
 
-def plain(text: str) -> str:
-    """A text in letters that standard output can encode."""
-    encoding = sys.stdout.encoding or "utf-8"
-    try:
-        text.encode(encoding)
-        return text
-    except UnicodeEncodeError:
-        for sign, words in ASCII.items():
-            try:
-                sign.encode(encoding)
-            except UnicodeEncodeError:
-                text = text.replace(sign, words)
-        return text.encode(encoding, "replace").decode(encoding)
-
-
 def say(*pieces: Piece | str) -> None:
     """A line on standard output; colours on a terminal that has them, unless NO_COLOR asks for none."""
-    parts = [(piece, "") if isinstance(piece, str) else piece for piece in pieces]
+    parts = [(visible(text), style) for text, style in
+             ((piece, "") if isinstance(piece, str) else piece for piece in pieces)]
     if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
         print("".join(text for text, _ in parts).rstrip())
         return
     from rich.console import Console
     from rich.text import Text
 
-    out = Console(width=10_000, highlight=False, markup=False, emoji=False, soft_wrap=True, legacy_windows=False)
+    out = Console(file=raw(sys.stdout), width=10_000, highlight=False, markup=False, emoji=False, soft_wrap=True,
+                  legacy_windows=False)
     out.print(Text.assemble(*parts), end="\n")
 
 
@@ -103,8 +90,8 @@ class Column:
     text: bool = False
 
     def __post_init__(self) -> None:
-        self.head = [plain(line) for line in self.head]
-        self.cells = [[(plain(text), style) for text, style in cell] for cell in self.cells]
+        self.head = [plain(visible(line)) for line in self.head]
+        self.cells = [[(plain(visible(text)).replace("\n", " "), style) for text, style in cell] for cell in self.cells]
         self.width = max([*map(len, self.head), *(sum(len(text) for text, _ in cell) for cell in self.cells), 0])
 
     @property
@@ -220,7 +207,7 @@ def progress(total: int, unit: str) -> Iterator[Advance]:
              + unit), TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     from ...scenarios.machine_code import told
 
-    with told(COMPILING), Progress(*parts, console=Console(stderr=True), transient=True) as bar:
+    with told(COMPILING), Progress(*parts, console=Console(file=raw(sys.stderr)), transient=True) as bar:
         job = bar.add_task("starting", total=total, rate="")
 
         def advance(count: int, what: str) -> None:

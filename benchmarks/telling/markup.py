@@ -6,25 +6,17 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from .cleaning import latex, markdown
 from .wording import numeric
 
 
 def to_markdown(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:
     """A Markdown table with a heading and its notes."""
-    head = "| " + " | ".join(frame.columns) + " |"
+    head = "| " + " | ".join(map(markdown, frame.columns)) + " |"
     rule = "|" + "|".join(" ---: " if numeric(frame[c].tolist()) else " --- " for c in frame.columns) + "|"
-    body = ["| " + " | ".join(str(value) for value in row) + " |" for row in frame.to_numpy()]
-    return "\n".join([f"## {title}", "", head, rule, *body, "", *(f"- {note}" for note in notes)]) + "\n"
-_LATEX = str.maketrans({
-    **{letter: f"\\{letter}" for letter in "&%_#${}"}, "\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}",
-    "<": "$<$", ">": "$>$", "±": r"$\pm$", "−": "$-$", "–": "--", "·": r"$\cdot$", "×": r"$\times$",
-    "∞": r"$\infty$", "µ": r"$\mu$", "σ": r"$\sigma$", "χ": r"$\chi$", "‰": r"\textperthousand{}",
-    **{raised: f"$^{{{plain}}}$" for raised, plain in zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)}})
-
-
-def latex(text: object) -> str:
-    """Text for LaTeX; letters it has no word for become question marks."""
-    return str(text).translate(_LATEX).replace("}$$^{", "").encode("ascii", "replace").decode()
+    body = ["| " + " | ".join(map(markdown, row)) + " |" for row in frame.to_numpy()]
+    below = [f"- {markdown(note)}" for note in notes]
+    return "\n".join([f"## {markdown(title)}", "", head, rule, *body, "", *below]) + "\n"
 
 
 def to_latex(title: str, frame: pd.DataFrame, notes: Sequence[str]) -> str:

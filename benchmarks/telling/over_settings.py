@@ -12,8 +12,8 @@ from itertools import groupby
 import numpy as np
 
 from ...scenarios.errors import InputError
+from .cleaning import csv_text, latex, markdown, visible
 from .marks import Line, drawn
-from .markup import latex
 from .rankings import Cell, Ranking
 from .wording import counted, metric_name, number
 
@@ -240,11 +240,12 @@ def _marked(text: str, word: str, bold: str = "**{}**", italic: str = "*{}*") ->
 
 def to_md(table: Grid, name: str) -> str:
     """Markdown, a table a quantity."""
-    out = [" ".join(caption(table)), ""]
+    out = [markdown(" ".join(caption(table))), ""]
     for block in table.blocks:
-        out += [f"| {block.name} | " + " | ".join(table.labels) + " |", "| --- |" + " ---: |" * len(table.labels)]
+        out += [f"| {markdown(block.name)} | " + " | ".join(map(markdown, table.labels)) + " |",
+                "| --- |" + " ---: |" * len(table.labels)]
         for setting, texts in _texts(table, block):
-            out.append(f"| {setting} | " + " | ".join(_marked(*text) for text in texts) + " |")
+            out.append(f"| {markdown(setting)} | " + " | ".join(_marked(*text) for text in texts) + " |")
         if len(block.rankings) > 1:
             out.append("| *ratio to best* | " + " | ".join(means(block, table.labels)) + " |")
         out.append("")
@@ -264,7 +265,7 @@ def to_html(table: Grid, name: str) -> str:
             out.append("<tr><th><i>ratio to best</i></th>" + "".join(f"<td>{mean}</td>" for mean in means(
                 block, table.labels)) + "</tr>")
         out.append("</tbody>")
-    return "\n".join([*out, "</table>", ""])
+    return visible("\n".join([*out, "</table>", ""]))
 
 
 CSV = ("value", "low", "high", "ratio", "ratio_low", "ratio_high")
@@ -279,8 +280,8 @@ def to_csv(table: Grid, name: str) -> str:
                 line = ranking.line(label)
                 if line is not None:
                     values = [line[n] * (1 if n.startswith("ratio") else line["factor"]) for n in CSV]
-                    out.append(",".join([*key.split("/"), block.metric, block.quantity, block.unit, label,
-                                         str(line["runs"]), str(line["lost"]), drawn(line),
+                    names = map(csv_text, (block.metric, block.quantity, block.unit, label))
+                    out.append(",".join([*key.split("/"), *names, str(line["runs"]), str(line["lost"]), drawn(line),
                                          *("" if v != v else f"{v:.9g}" for v in values)]))
     return "\n".join([*out, ""])
 

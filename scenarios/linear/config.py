@@ -32,8 +32,8 @@ class Plant(Strict):
     x0: Annotated[list[float], Field(min_length=1)]
     P0: Matrix
     index: Literal["departure", "arrival"] = "departure"
-    states: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
+    states: tuple[Annotated[str, Field(pattern=r"^[^\W\d_][\w .-]{0,39}$")], ...] = ()
+    units: tuple[Annotated[str, Field(pattern=r"^[\w%°/(][\w%°/^*·.() -]{0,19}$")], ...] = ()
 
 
 class Knowledge(Strict):

@@ -261,17 +261,6 @@ def test_a_plug_in_that_hangs_costs_only_its_rows(railstate: Command) -> None:
     assert rows("out")["status"].tolist() == ["ok", "timeout", "ok"]
 
 
-def test_dask_cluster_gives_the_same_rows(railstate: Command) -> None:
-    from dask.distributed import LocalCluster
-
-    words = (*CART, "--estimators", "half,kalman", "--runs", 8, "--batch", 4)
-    assert railstate(*words, "--jobs", 1, "--out", "one").code == 0
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        done = railstate(*words, "--backend", "dask", "--scheduler", cluster.scheduler_address, "--out", "cluster")
-    assert done.code == 0, done.err
-    same(rows("one"), rows("cluster"))
-
-
 def test_no_scheduler_is_one_message(railstate: Command) -> None:
     done = railstate(*CART, "--backend", "dask", "--runs", 2)
     assert done.code == 2 and "--scheduler" in done.err

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ....scenarios.arrays import Array
+from ..cleaning import visible
 
 Anchor = Literal["start", "middle", "end"]
 
@@ -105,7 +106,7 @@ class Canvas:
         colours = {name: f"var(--{name})" for name in LIGHT} if inline else LIGHT
         parts = [_svg_path(item, colours) if isinstance(item, _Path) else _svg_text(item, colours)
                  for item in self.items]
-        return head + "".join(parts) + "</svg>"
+        return visible(head + "".join(parts) + "</svg>")
 
     def save(self, path: Path) -> None:
         """Write the figure; the file's suffix (.svg, .pdf, .png) chooses the format. PNG has 300 dots per inch."""

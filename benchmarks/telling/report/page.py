@@ -17,6 +17,7 @@ from ....scenarios.errors import InputError
 from ...judging.claims import TOLERANCE
 from ...judging.family import LEAST, MARGIN
 from ...store.folder import write_whole
+from ..cleaning import visible
 from ..figures.canvas import DARK, LIGHT
 from ..figures.data import Results, load_results
 from ..marks import MARKS
@@ -80,8 +81,9 @@ def laid_out(name: str, **parts: Any) -> str:
     light, dark = (Markup("".join(f"--{key}:{value};" for key, value in palette.items() if key[1:].isdigit()))
                    for palette in (LIGHT, DARK))
     environment.globals["chip"] = chip
-    return environment.get_template(name).render(css=Markup(text("page.css")), script=Markup(text("page.js")),
+    page = environment.get_template(name).render(css=Markup(text("page.css")), script=Markup(text("page.js")),
                                                  light=light, dark=dark, **parts)
+    return visible(page)
 
 
 def _first_words(cells: Sequence[Cell], runs: int, told: list[Paper]) -> list[tuple[str, str]]:
