@@ -4,26 +4,32 @@ A plug-in that does not import costs a warning with its reason, nothing else."""
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
 from .errors import InputError, describe
 from .setting import Setting
 
+SUITE = "railstate"
+
 
 def load_group(group: str) -> dict[str, Any]:
-    """All objects registered under an entry-point group, by name; those that fail to import are warned about."""
+    """All objects registered under an entry-point group, by name, the suite's own first; those that fail to import are
+    warned about, also those that want to end the process."""
     found: dict[str, Any] = {}
-    for point in entry_points(group=group):
+    for point in sorted(entry_points(group=group), key=lambda point: (not _own(point), point.name)):
         try:
-            found[point.name] = point.load()
+            with nullcontext() if _own(point) else _no_exit():
+                found.setdefault(point.name, point.load())
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # SystemExit too: an import does not end the command
@@ -32,10 +38,38 @@ def load_group(group: str) -> dict[str, Any]:
     return found
 
 
+def _own(point: EntryPoint) -> bool:
+    return point.dist is not None and point.dist.name == SUITE
+
+
+@contextmanager
+def _no_exit() -> Iterator[None]:
+    """`os._exit` raises SystemExit meanwhile."""
+    before = os._exit
+
+    def leave(status: int) -> NoReturn:
+        raise SystemExit(status)
+
+    os._exit = leave
+    try:
+        yield
+    finally:
+        os._exit = before
+
+
 @cache
 def settings() -> dict[str, type[Setting[Any]]]:
-    """Plant kind -> setting class."""
-    return {setting.kind: setting for setting in load_group("railstate.scenarios").values()}
+    """Plant kind -> setting class. What is none, or is of a kind that there is, is warned about."""
+    found: dict[str, type[Setting[Any]]] = {}
+    for name, setting in load_group("railstate.scenarios").items():
+        kind = getattr(setting, "kind", None)
+        if not (isinstance(setting, type) and issubclass(setting, Setting) and isinstance(kind, str)):
+            warnings.warn(f"plug-in {name} is left out: no subclass of {Setting.__module__}.Setting", stacklevel=2)
+        elif kind in found:
+            warnings.warn(f"plug-in {name} is left out: there is a setting of kind {kind} already", stacklevel=2)
+        else:
+            found[kind] = setting
+    return found
 
 
 @cache

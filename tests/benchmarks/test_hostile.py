@@ -8,13 +8,16 @@ import os
 import subprocess
 import sys
 import time
-from importlib.metadata import EntryPoint
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, distribution
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 from railstate.benchmarks.store.folder import Store
-from railstate.scenarios.registry import load_group
+from railstate.scenarios import registry
+from railstate.scenarios.linear import LinearSystem
 
 from ..conftest import Command
 
@@ -174,13 +177,29 @@ def test_two_of_one_name_are_refused(railstate: Command) -> None:
     assert done.code == 2 and "an estimator named half is in" in done.err
 
 
-def test_a_setting_that_ends_everything_on_import_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def load(point: EntryPoint) -> None:
-        raise SystemExit(0)
+@pytest.mark.parametrize(("act", "said"), [
+    (lambda: sys.exit(0), "is left out: SystemExit: 0"),
+    (lambda: os._exit(0), "is left out: SystemExit: 0"),
+    (lambda: None, "no subclass of railstate.scenarios.setting.Setting"),
+    (lambda: LinearSystem, "there is a setting of kind linear already"),
+])
+def test_a_setting_that_ends_everything_on_import_or_takes_a_name_is_left_out(
+        monkeypatch: pytest.MonkeyPatch, act: Callable[[], Any], said: str) -> None:
+    class Strange(EntryPoint):
+        def load(self) -> Any:
+            return act()
 
-    monkeypatch.setattr(EntryPoint, "load", load)
-    with pytest.warns(UserWarning, match="is left out: SystemExit: 0"):
-        assert load_group("railstate.scenarios") == {}
+    class Linear(EntryPoint):
+        dist = distribution("railstate")
+
+        def load(self) -> Any:
+            return LinearSystem
+
+    points = [Strange("a-strange", "strange", "railstate.scenarios"), Linear("linear", "", "railstate.scenarios")]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    with pytest.warns(UserWarning, match=said) as caught:
+        assert registry.settings.__wrapped__() == {"linear": LinearSystem}
+    assert len(caught) == 1 and "a-strange" in str(caught[0].message)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="who descends from whom is read from /proc")
