@@ -119,7 +119,7 @@ def test_workers_with_other_code_are_refused(railstate: Command, two: Machine, m
 @pytest.mark.parametrize("words", [
     ("sweep", "cart.toml/calm", "--over", "channel.p=0.5,0.9", "--estimators", "ekf"),
     ("compare", "ekf", "kalman", "--scenario", "cart.toml/calm"),
-    ("tune", "rap-example-1/printed", "--estimator", "random-access", "--over", "parameters.sigma=0.5..2",
+    ("tune", "rap-example-1/printed", "--estimator", "random-access", "--over", "parameters.horizon=1..4:int",
      "--objective", "rmse:x1", "--budget", "3"),
     ("reproduce", "zheng2015"),
 ], ids=lambda words: words[0])
