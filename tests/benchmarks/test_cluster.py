@@ -119,8 +119,8 @@ def test_workers_with_other_code_are_refused(railstate: Command, two: Machine, m
 @pytest.mark.parametrize("words", [
     ("sweep", "cart.toml/calm", "--over", "channel.p=0.5,0.9", "--estimators", "ekf"),
     ("compare", "ekf", "kalman", "--scenario", "cart.toml/calm"),
-    ("tune", "rap-example-1/printed", "--estimator", "random-access", "--over", "parameters.horizon=1..4:int",
-     "--objective", "rmse:x1", "--budget", "3"),
+    ("tune", "ningbo-metro/white", "--estimator", "ekf-naive", "--over", "knowledge.sigma_w=0.01..1:log",
+     "--objective", "rmse:speed", "--budget", "3"),
     ("reproduce", "zheng2015"),
 ], ids=lambda words: words[0])
 def test_every_command_that_runs_takes_a_cluster(railstate: Command, words: tuple[str, ...],
