@@ -282,3 +282,24 @@ def histogram_medians(histogram):
                 break
             below += count
     return out
+
+
+@kernel
+def add_windows(vector, truth, active, window, index, weight, owner, share, squared, steps):
+    """Add one step's squared errors to the window (S,) that each active run is in (-1: none) where all elements of a
+    quantity are known (not NaN). Element i of the parts is index[i] of the truth, weight[i] of quantity owner[i], its
+    square over share[i]. squared, steps (nq, nw, S)."""
+    for s in range(active.shape[0]):
+        w = window[s]
+        if active[s] and w >= 0:
+            i = 0
+            while i < index.shape[0]:
+                q, first, known = owner[i], i, True
+                while i < index.shape[0] and owner[i] == q:
+                    known &= np.isfinite(truth[index[i], s])
+                    i += 1
+                if known:
+                    steps[q, w, s] += 1.0
+                    for j in range(first, i):
+                        error = weight[j] * (vector[index[j], s] - truth[index[j], s])
+                        squared[q, w, s] += error * error / share[j]

@@ -13,8 +13,9 @@ from ...scenarios.arrays import Array, Mask
 from ...scenarios.requirements import Allowance, Confidence, Percentile, Requirement, Speed, Stop
 from ...scenarios.setting import Outcome, Quantity
 from ...scenarios.world import Step
-from .requirement_kernels import claims, drifts, percentiles, shares
+from .requirement_kernels import claims, drifts, keep_errors, percentiles, shares
 
+EVERYTHING, NOTHING = np.zeros((0, 0), dtype=bool), np.zeros((0, 0, 0))
 PERCENTILES = (50.0, 95.0, 99.0)
 DISTANCES = (10.0, 100.0, 1000.0)
 """Metres travelled over which the change of a position's error is told."""
@@ -33,6 +34,8 @@ class RequirementScores:
         named = {item.name: item for item in quantities if len(item.components) == 1}
         self.quantities = [named[name] for name in dict.fromkeys(
             item.quantity for item in requirements)]
+        self.index = np.array([item.components[0][0] for item in self.quantities], dtype=np.int64)
+        self.weight = np.array([item.components[0][1] for item in self.quantities], dtype=float)
         n = len(self.quantities)
         shape = (steps if n else 0, n, runs)
         self.error, self.claim, self.truth = (np.full(shape, np.nan) for _ in range(3))
@@ -47,23 +50,14 @@ class RequirementScores:
         if not self.quantities:
             return
         self.steps, self.active[k] = k + 1, step.active
-        vector = estimate.mean
-        for q, item in enumerate(self.quantities):
-            (i, w), = item.components
-            if i >= len(vector):
-                if estimate.parameter is None or i >= len(vector) + len(estimate.parameter):
-                    continue
-                value = estimate.parameter[i - len(vector)]
-            else:
-                value = vector[i]
-            self.error[k, q], self.truth[k, q] = w * (value - step.truth[i]), w * step.truth[i]
-            self.counts[k, q] = step.active & ~np.isnan(step.truth[i])  # NaN: unknown, as on a recording
-            if step.scored is not None:
-                self.counts[k, q] &= step.scored[i]
-            matrix = estimate.covariance if estimate.covariance is not None else estimate.ellipsoid
-            if matrix is not None and i < len(matrix):
-                self.claim[k, q] = abs(w) * np.sqrt(np.maximum(matrix[i, i], 0.0))
-                self.sets[q] = estimate.covariance is None
+        vector = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
+        matrix = estimate.covariance if estimate.covariance is not None else estimate.ellipsoid
+        scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
+        keep_errors(np.ascontiguousarray(vector), np.ascontiguousarray(step.truth), step.active, scored,
+                    NOTHING if matrix is None else np.ascontiguousarray(matrix), self.index, self.weight,
+                    self.error[k], self.truth[k], self.counts[k], self.claim[k])
+        if matrix is not None:
+            self.sets[self.index < len(matrix)] = estimate.covariance is None
         if len(self.reference) and step.reference is not None:
             self.reference[k] = step.reference
 

@@ -12,6 +12,7 @@ from ...estimators.interface import Estimate
 from ...scenarios.arrays import Array
 from ...scenarios.setting import Outcome, Quantity
 from ...scenarios.world import Step
+from .kernels import add_windows
 
 
 class WindowErrors:
@@ -21,23 +22,19 @@ class WindowErrors:
         self.names, self.quantities = tuple(names), tuple(quantities)
         self.squared = np.zeros((len(self.quantities), len(self.names), runs))
         self.steps = np.zeros((len(self.quantities), len(self.names), runs))
+        parts = [(i, weight, q, len(item.components) if item.mean else 1)
+                 for q, item in enumerate(self.quantities) for i, weight in item.components]
+        self.index, self.owner = (np.array([part[column] for part in parts], dtype=np.int64) for column in (0, 2))
+        self.weight, self.share = (np.array([part[column] for part in parts], dtype=float) for column in (1, 3))
 
     def add(self, estimate: Estimate, step: Step) -> None:
         """Score the estimate of a step in the window each run is in (step.window (S,), -1: none), where the truth is
         known (not NaN)."""
         if not self.names or step.window is None:
             return
-        inside = np.flatnonzero(step.active & (step.window >= 0))
-        window = step.window[inside]
-        parts = [estimate.mean] if estimate.parameter is None else [estimate.mean, estimate.parameter]
-        vector = np.concatenate(parts)
-        for q, item in enumerate(self.quantities):
-            known = np.isfinite(step.truth[[i for i, _ in item.components]][:, inside]).all(axis=0)
-            self.steps[q, window, inside] += known
-            for i, weight in item.components:
-                error = weight * (vector[i, inside] - step.truth[i, inside])
-                self.squared[q, window, inside] += np.where(
-                    known, error * error / (len(item.components) if item.mean else 1), 0.0)
+        vector = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
+        add_windows(np.ascontiguousarray(vector), np.ascontiguousarray(step.truth), step.active, step.window,
+                    self.index, self.weight, self.owner, self.share, self.squared, self.steps)
 
     def finish(self) -> dict[Outcome, Array]:
         """{("rmse", "QUANTITY-WINDOW", unit): (S,)}, NaN where a run never was in the window."""
