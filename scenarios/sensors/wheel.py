@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
@@ -16,7 +16,8 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 class Wheel(Strict):
     """diameter m, as nominal; pulses per turn; diameter_error: the true one is larger by a share uniform within +-
-    this, per axle and run; phase: the counter starts within [least, most] of a pulse.
+    this, or (spread = "gaussian") normal with this standard deviation, per axle and run; phase: the counter starts
+    within [least, most] of a pulse.
 
     creep: what the sensor tells of micro-slip, a standard deviation as a share of the distance; quiet s, quiet_sd m/s:
     what it tells after so long a stand without pulses."""
@@ -24,6 +25,7 @@ class Wheel(Strict):
     diameter: PositiveFloat
     pulses: PositiveInt
     diameter_error: Annotated[float, Field(ge=0, lt=0.5)]
+    spread: Literal["uniform", "gaussian"] = "uniform"
     phase: Pair = [0.0, 1.0]
     creep: NonNegativeFloat = 0.003
     quiet: PositiveFloat = 1.0
@@ -38,7 +40,8 @@ class Wheel(Strict):
         """Pulses counted (K, n, S) of n axles whose wheels rolled (K, n, S) m, whole numbers, and how much too far a
         wheel reads for its diameter (n, S), as a share."""
         axles = rolled.shape[1]
-        scale = 1.0 + self.diameter_error * random.uniform(-1.0, 1.0, axles)
+        drawn = random.uniform(-1.0, 1.0, axles) if self.spread == "uniform" else random.normal(axles)
+        scale = 1.0 + self.diameter_error * drawn
         phase = self.phase[0] + (self.phase[1] - self.phase[0]) * random.uniform(0.0, 1.0, axles)
         return np.floor(rolled / (scale * self.pulse) + phase), 1.0 / scale - 1.0
 

@@ -190,6 +190,19 @@ def test_estimators_on_a_wet_rail(railstate: Command) -> None:
     assert 0 < over["ekf-gated"] < 0.2
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("variant", ["matched", "matched-fine"])
+def test_a_filter_told_the_truth_misses_no_more_than_it_claims(railstate: Command, variant: str) -> None:
+    """Shares of the steps outside three standard deviations of the position, within 3 of their standard errors of the
+    nominal .27 % or under it; the counter's steps only make the filter too cautious."""
+    done = railstate("run", f"odometry/{variant}", "--estimators", "ekf-scale", "--runs", 400, "--out", "out")
+    assert done.code == 0, done.err
+    missed = 1 - Store("out").rows()["inside:confidence:1"]
+    assert missed.mean() < 0.0027 + 3 * missed.std() / 20
+    if variant == "matched-fine":
+        assert missed.mean() > 0.0027 - 3 * missed.std() / 20
+
+
 def test_a_line_and_a_train_of_one_s_own(railstate: Command) -> None:
     line = {"stops": {"unit": "m", "values": [0, 1200, 2500]},
             "speed limits": {"units": {"position": "m", "velocity": "km/h"},
