@@ -82,7 +82,7 @@ class Loop:
         if estimator.oracle:
             estimator.reveal(step.truth)
         u = read_only(step.u)
-        last, gone, begun = len(step.events) - 1, 0.0, perf_counter()
+        last, gone, spent, begun = len(step.events) - 1, 0.0, 0.0, perf_counter()
         for number, event in enumerate(step.events):
             share = event.share
             if isinstance(share, float) and share == 1.0:
@@ -95,25 +95,25 @@ class Loop:
                 gone = gone + share
             if early and (number == last or every):
                 estimate = self._estimate()
-                self.seconds += perf_counter() - begun
+                spent += perf_counter() - begun
                 observer.predicted(step, number, estimate)
                 begun = perf_counter()
             for measurement in self._arriving(step, event, number, gone, listens):
                 innovation = estimator.update(measurement)
                 if innovation is not None:
-                    self.seconds += perf_counter() - begun
+                    spent += perf_counter() - begun
                     observer.measured(step, measurement, innovation)
                     begun = perf_counter()
             if late and (number == last or every):
                 estimate = self._estimate()
                 self.mean = estimate.mean
-                self.seconds += perf_counter() - begun
+                spent += perf_counter() - begun
                 observer.updated(step, number, estimate)
                 begun = perf_counter()
         if self.world.closed_loop and not late:
             self.mean = self._estimate().mean
         past = estimator.past() if estimator.lag else None
-        self.seconds += perf_counter() - begun
+        self.seconds += spent + (perf_counter() - begun)
         if past is not None and estimator.lag:
             observer.smoothed(step.number - estimator.lag, self._cut(past))
         return step
@@ -128,11 +128,11 @@ class Loop:
         self.seconds += perf_counter() - begun
 
     def _estimate(self) -> Estimate:
-        return self._cut(self.estimator.estimate())
+        estimate, own = self.estimator.estimate(), self.own
+        return estimate if own is None or len(estimate.mean) <= own else cut(estimate, own)
 
     def _cut(self, estimate: Estimate) -> Estimate:
-        own = self.own
-        return estimate if own is None or len(estimate.mean) <= own else cut(estimate, own)
+        return estimate if self.own is None else cut(estimate, self.own)
 
     def _arriving(self, step: Step, event: Event, number: int, gone: PerRun,
                   listens: Mask | None) -> Sequence[Measurement]:

@@ -45,6 +45,25 @@ def _spread(deviations, weights, out, width):
 
 
 @kernel
+def _gathered(cloud, weights_mean, weights_covariance, noise, mean, covariance, width):
+    """mean (n, width), covariance (n, n, width) := the moments of a cloud of points (n, m, width), which become
+    deviations, plus noise (n, n, width or 1)."""
+    _moments(cloud, weights_mean, mean, width)
+    for a in range(mean.shape[0]):
+        for b in range(a + 1):
+            start = covariance[a, b]
+            if noise.shape[2] == 1:
+                value = noise[a, b, 0]
+                for s in range(width):
+                    start[s] = value
+            else:
+                row = noise[a, b]
+                for s in range(width):
+                    start[s] = row[s]
+    _spread(cloud, weights_covariance, covariance, width)
+
+
+@kernel
 def _draw(mean, covariance, scale, factor, inverse, points, deviations, failed, width):
     """Sigma points mean +- scale L_i (n, m, >= width), L the Cholesky factor of covariance (into factor); m = 2 n, or
     2 n + 1 with the mean first. deviations: the same without the mean, exactly symmetric."""
@@ -97,11 +116,19 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
     n, m, runs = mean.shape[0], len(weights_mean), len(index)
     wide, lengths = tile_width(n, runs), seconds.reshape(1, len(seconds))
     cubes, clouds = np.empty((2 * n, n, wide)), np.empty((2 * n, m, wide))
-    rows, lost = np.empty((2 * n + 1 + u.shape[0], wide)), np.empty(wide, np.bool_)
+    rows, lost = np.empty((2 * n + 1 + u.shape[0], wide)), np.zeros(wide, np.bool_)
     p, factor, points, cloud = cubes[:n], cubes[n:], clouds[:n], clouds[n:]
     x, inverse, times, inputs = rows[:n], rows[n:2 * n], rows[2 * n:2 * n + 1], rows[2 * n + 1:]
-    noise = q if q.shape[2] == 1 else np.empty((n, n, wide))
     bad = 0
+    if model != 0 and wide == runs == mean.shape[1]:  # one tile: without a copy
+        _draw(mean, covariance, scale, factor, inverse, points, cloud, lost, runs)
+        call(model, points, u, lengths, data, m, runs, runs, cloud)
+        _gathered(cloud, weights_mean, weights_covariance, q, mean, covariance, runs)
+        for s in range(runs):
+            failed[s] |= lost[s]
+            bad += lost[s]
+        return bad
+    noise = q if q.shape[2] == 1 else np.empty((n, n, wide))
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
         part = index[first:first + width]
@@ -121,19 +148,7 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
                 bad += lost[s]
         if q.shape[2] > 1:
             gather3(q, part, width, noise)
-        _moments(cloud, weights_mean, x, width)
-        for a in range(n):
-            for b in range(a + 1):
-                start = p[a, b]
-                if noise.shape[2] == 1:
-                    value = noise[a, b, 0]
-                    for s in range(width):
-                        start[s] = value
-                else:
-                    row = noise[a, b]
-                    for s in range(width):
-                        start[s] = row[s]
-        _spread(cloud, weights_covariance, p, width)
+        _gathered(cloud, weights_mean, weights_covariance, noise, x, p, width)
         scatter2(x, part, width, mean)
         scatter3(p, part, width, covariance)
     return bad
