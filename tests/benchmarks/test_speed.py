@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import pytest
-from railstate.benchmarks.speed import COMPARISONS, cars, metro, particles, race, robust
+from railstate.benchmarks.speed import COMPARISONS, cars, metro, particles, race, robust, start
 
 from ..conftest import Command
 
@@ -36,4 +36,19 @@ def test_a_peer_that_is_not_installed_is_one_message(railstate: Command, monkeyp
     done = railstate("timing", "--only", "cars", "--repeats", 1, "--processes", 1)
     assert done.code == 2 and "its peer simdkalman is not installed" in done.err and "Traceback" not in done.err
     refused = railstate("timing", "--only", "horses")
-    assert refused.code == 2 and "allowed: metro, cars, robust, particles" in refused.err
+    assert refused.code == 2 and "allowed: metro, cars, robust, particles, start" in refused.err
+
+
+def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is measured of whole commands is what they are; one that fails is no time."""
+    monkeypatch.setattr(start, "QUICK", (("--version",),))
+    monkeypatch.setattr(start, "SETTINGS", ())
+    monkeypatch.setattr(start, "RUNS", 4)
+    lines = railstate("timing", "--only", "start", "--repeats", 1).out.splitlines()
+    found = [line.split() for line in lines if line.startswith("railstate")]
+    assert [" ".join(words[1:-1]) for words in found] == ["--version", *(
+        f"run ningbo-metro/switching --estimators ekf --runs 4 --jobs {jobs}" for jobs in (1, 2))]
+    assert all(float(words[-1]) > 0 for words in found)
+    monkeypatch.setattr(start, "QUICK", (("--nothing",),))
+    with pytest.raises(RuntimeError, match="No such option"):
+        start.seconds(1)
