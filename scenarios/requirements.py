@@ -10,19 +10,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from .strict import Strict
+from .strict import Strict, key
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Title = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
 
 
 class Asked(Strict):
-    """name: of its columns and lines. accept: the share that must keep it, of runs (each over its whole trip), or of
-    time where per = "time"."""
+    """What every requirement says."""
 
-    name: Title
-    accept: Share = 0.99
-    per: Literal["runs", "time"] = "runs"
+    name: Annotated[Title, key("of its columns and lines")]
+    accept: Annotated[Share, key("share that must keep it", "1")] = 0.99
+    per: Annotated[Literal["runs", "time"], key("of runs (each over its whole trip), or of time")] = "runs"
 
     @property
     def quantity_needed(self) -> str:
@@ -33,23 +32,22 @@ class Asked(Strict):
 class Allowance(Asked):
     """|error of the distance travelled since the last reference| <= constant + share x that distance.
 
-    constant m; s: the distance as measured (SUBSET-041 5.3.1.1) or the true one. Counts from the first reference on.
-    quantity: the position whose error since the reference is meant."""
+    Counts from the first reference on (SUBSET-041 5.3.1.1)."""
 
-    form: Literal["allowance"]
-    quantity: str = "position"
-    constant: Annotated[float, Field(ge=0)]
-    share: Annotated[float, Field(ge=0)]
-    s: Literal["measured", "true"] = "measured"
+    form: Annotated[Literal["allowance"], key("which requirement this is")]
+    quantity: Annotated[str, key("the position whose error since the reference is meant")] = "position"
+    constant: Annotated[float, Field(ge=0), key("allowed in any case", "m")]
+    share: Annotated[float, Field(ge=0), key("allowed of the distance", "1")]
+    s: Annotated[Literal["measured", "true"], key("the distance as measured (SUBSET-041) or the true one")] = "measured"
 
 
 class Speed(Asked):
-    """|speed error| <= limit, which goes straight through `points` [[speed m/s, limit m/s], ..] and is constant before
-    the first and behind the last."""
+    """|speed error| <= a limit that depends on the speed."""
 
-    form: Literal["speed"]
-    quantity: str = "speed"
-    points: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
+    form: Annotated[Literal["speed"], key("which requirement this is")]
+    quantity: Annotated[str, key("the quantity whose error is meant")] = "speed"
+    points: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1), key(
+        "limit by speed, straight between points and constant beyond them", "[m/s, m/s]")]
 
     @model_validator(mode="after")
     def _ordered(self) -> Speed:
@@ -60,32 +58,32 @@ class Speed(Asked):
 
 
 class Stop(Asked):
-    """|position error| <= within (m) at the end of the trip. A run counts as a whole."""
+    """|position error| at the end of the trip is small. A run counts as a whole."""
 
-    form: Literal["stop"]
-    quantity: str = "position"
-    within: PositiveFloat
-    per: Literal["runs"] = "runs"  # pyright: ignore[reportIncompatibleVariableOverride]
+    form: Annotated[Literal["stop"], key("which requirement this is")]
+    quantity: Annotated[str, key("the quantity whose error is meant")] = "position"
+    within: Annotated[PositiveFloat, key("largest error", "m")]
+    per: Annotated[Literal["runs"], key("of runs")] = "runs"  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class Confidence(Asked):
     """The claimed interval, estimate +- k standard deviations (or what an ellipsoid or set claims, whatever k), covers
-    the truth. accept: the share of time, unless per = "runs" asks it of whole trips."""
+    the truth."""
 
-    form: Literal["confidence"]
-    quantity: str = "position"
-    k: PositiveFloat
-    per: Literal["runs", "time"] = "time"
+    form: Annotated[Literal["confidence"], key("which requirement this is")]
+    quantity: Annotated[str, key("the quantity whose error is meant")] = "position"
+    k: Annotated[PositiveFloat, key("standard deviations to either side", "1")]
+    per: Annotated[Literal["runs", "time"], key("of time, or of whole trips (runs)")] = "time"
 
 
 class Percentile(Asked):
-    """The percentile `percent` of |error| over a run's trip is at most `limit` (SI)."""
+    """A percentile of |error| over a run's trip is small."""
 
-    form: Literal["percentile"]
-    quantity: str
-    percent: Annotated[float, Field(gt=0, le=100)]
-    limit: PositiveFloat
-    per: Literal["runs"] = "runs"  # pyright: ignore[reportIncompatibleVariableOverride]
+    form: Annotated[Literal["percentile"], key("which requirement this is")]
+    quantity: Annotated[str, key("the quantity whose error is meant")]
+    percent: Annotated[float, Field(gt=0, le=100), key("which percentile", "%")]
+    limit: Annotated[PositiveFloat, key("largest value", "SI")]
+    per: Annotated[Literal["runs"], key("of runs")] = "runs"  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 Requirement = Annotated[Allowance | Speed | Stop | Confidence | Percentile, Field(discriminator="form")]

@@ -7,16 +7,21 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
+from pydantic import BaseModel
 
 from ...scenarios.augmented import Extra
 from ...scenarios.errors import InputError
 from ...scenarios.inheritance import comes_from
+from ...scenarios.keys import Key, keys_of
 from ...scenarios.registry import settings
 from ..api.listing import estimator_lines, scenario_lines
 from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
 from ..telling.console import print_table
 from .options import Sets, overrides
+
+BASE = "what it inherits: a built-in scenario, NAME/VARIANT (that variant alone), or the path of a TOML file"
+VARIANTS = "named overrides of the tables; the first is the default"
 
 
 def list_() -> None:
@@ -32,6 +37,7 @@ def list_() -> None:
 def show(
     name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")],
     set_: Sets = [],  # noqa: B006
+    keys: Annotated[bool, typer.Option("--keys", help="What each key of such a scenario file says, its unit.")] = False,
 ) -> None:
     """Show a scenario resolved, or an estimator's parameters."""
     changes = overrides(set_)
@@ -48,6 +54,9 @@ def show(
             raise
         raise InputError(f"{error}\nestimators: {', '.join(catalogue.names())}") from None
     config = scenario.setting(variant).config
+    if keys:
+        _show_keys(type(config))
+        return
     print(f"{scenario.name}/{variant}: {config.title}\nsource: {config.source}")
     if scenario.layers[1:]:
         print(f"base: {' over '.join(layer.where for layer in scenario.layers[-2::-1])}")
@@ -57,7 +66,8 @@ def show(
     for key in config.fitted:
         print(f"fitted: {key}")
     rows = [{"key": key, "value": json.dumps(value),
-             "from": "/".join(filter(None, comes_from(key, scenario.layers, variant))) or "default",
+             "from": "--set" if any(f"{key}.".startswith(f"{one}.") for one in changes) else
+             "/".join(filter(None, comes_from(key, scenario.layers, variant))) or "default",
              "origin": _origin(key, config.origin)}
             for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
                                                                "estimators"}))]
@@ -85,6 +95,17 @@ def _offer(name: str, extras: tuple[Extra, ...]) -> dict[str, str]:
             "enters": first.enters, "usually": json.dumps({k: v for k, v in usual.items() if v is not None})}
 
 
+def _show_keys(config: type[BaseModel]) -> None:
+    """A table for each table of such files."""
+    own = [Key("base", "", BASE, "", "none", False), Key("variants", "", VARIANTS, "", "one", False), *keys_of(config)]
+    tables: dict[tuple[str, str], list[dict[str, str]]] = {}
+    for key in own:
+        table, _, _ = key.path.rpartition(".")
+        tables.setdefault((table, key.of), []).append({"key": key.path, "what": key.what, "default": key.default})
+    for (table, of), lines in tables.items():
+        print_table(f"[{table}]{' of ' + of if of else ''}" if table else "The file", lines)
+
+
 def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
     definitions: dict[str, Any] = {}
@@ -92,9 +113,11 @@ def schema() -> None:
     for kind, setting in settings().items():
         made = setting.Config.model_json_schema(ref_template="#/$defs/" + kind + ".{model}")
         definitions.update({f"{kind}.{key}": value for key, value in made.pop("$defs", {}).items()})
+        made["properties"]["base"] = {"type": "string", "description": BASE}
         made["properties"]["variants"] = {"type": "object", "additionalProperties": {"type": "object"},
-                                          "description": "Named overrides of the tables; the first is the default."}
-        definitions[kind] = made
+                                          "description": VARIANTS}
+        whole = made.pop("required")  # a file with a base says what it likes
+        definitions[kind] = {**made, "anyOf": [{"required": whole}, {"required": ["name", "base"]}]}
         kinds.append({"$ref": f"#/$defs/{kind}"})
     print(json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "railstate scenario",
                       "anyOf": kinds, "$defs": definitions}, indent=1))

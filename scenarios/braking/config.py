@@ -11,28 +11,27 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from ..arrays import Array
 from ..channels import Channel, Ideal
 from ..faults import Faults
-from ..schema import ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig, Strict
+from ..strict import KIND, key
 
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class Plant(Strict):
-    """Eq. (4) and the run's course.
+    """Eq. (4) and the run's course."""
 
-    response_time tau (s); pade_rate lambda = 2 / delay (1/s); initial (D, v, a^, a_z); target: a_t as [time, value]
-    points joined by straight lines and held at the ends (m/s^2); rate_start, rate_drift (1/s), rate_steps [time,
-    change]: the braking rate f(t). until_standstill: the run ends when the speed reaches zero (else it turns
-    negative, as eq. (4) says)."""
-
-    kind: Literal["braking"]
-    response_time: PositiveFloat
-    pade_rate: PositiveFloat
-    initial: Annotated[list[float], Field(min_length=4, max_length=4)]
-    target: Annotated[list[Point], Field(min_length=1)]
-    rate_start: NonNegativeFloat
-    rate_drift: float = 0.0
-    rate_steps: list[Point] = Field(default_factory=list)
-    until_standstill: bool = False
+    kind: Annotated[Literal["braking"], KIND]
+    response_time: Annotated[PositiveFloat, key("tau of the brake", "s")]
+    pade_rate: Annotated[PositiveFloat, key("lambda = 2 / delay of the Pade approximation", "1/s")]
+    initial: Annotated[list[float], Field(min_length=4, max_length=4), key(
+        "D, v, a^, a_z at the start", "[m, m/s, m/s^2, m/s^2]")]
+    target: Annotated[list[Point], Field(min_length=1), key(
+        "target deceleration a_t: points joined by straight lines, held at the ends", "[s, m/s^2]")]
+    rate_start: Annotated[NonNegativeFloat, key("braking rate f at the start", "1")]
+    rate_drift: Annotated[float, key("its constant drift", "1/s")] = 0.0
+    rate_steps: Annotated[list[Point], key("its jumps: [time, change]", "[s, 1]")] = Field(default_factory=list)
+    until_standstill: Annotated[bool, key(
+        "whether a run ends when the speed reaches zero (else it turns negative, as eq. (4) says)")] = False
 
     @model_validator(mode="after")
     def _in_order(self) -> Plant:
@@ -57,13 +56,12 @@ class Plant(Strict):
 
 
 class Disturbance(Strict):
-    """White noise on the speed through E of eq. (4); variance per second, (m/s)^2/s.
+    """White noise on the speed through E of eq. (4)."""
 
-    hold: how it enters a step: `impulse`, the speed alone at its end; `held`, as an acceleration constant over the step
-    (Gamma of eq. (6) by exact hold of E: half of the step's change of speed counts for the way)."""
-
-    speed_variance_rate: NonNegativeFloat
-    hold: Literal["impulse", "held"] = "impulse"
+    speed_variance_rate: Annotated[NonNegativeFloat, key("its variance per second", "(m/s)^2/s")]
+    hold: Annotated[Literal["impulse", "held"], key(
+        "impulse: on the speed alone at a step's end; held: an acceleration constant over the step (Gamma of eq. "
+        "(6))")] = "impulse"
 
     def entry(self, period: float) -> Array:
         """What a change of speed by one does to (D, v, a^, a_z) within its step, (4,)."""
@@ -71,13 +69,13 @@ class Disturbance(Strict):
 
 
 class Sensors(Strict):
-    """Measurement variances: displacement (m^2), speed ((m/s)^2), target acceleration a_z and, where given, control
-    acceleration a^ ((m/s^2)^2)."""
+    """Variances of the measurements."""
 
-    displacement_variance: PositiveFloat
-    speed_variance: PositiveFloat
-    target_acceleration_variance: PositiveFloat
-    control_acceleration_variance: PositiveFloat | None = None
+    displacement_variance: Annotated[PositiveFloat, key("of the displacement", "m^2")]
+    speed_variance: Annotated[PositiveFloat, key("of the speed", "(m/s)^2")]
+    target_acceleration_variance: Annotated[PositiveFloat, key("of the target acceleration a_z", "(m/s^2)^2")]
+    control_acceleration_variance: Annotated[PositiveFloat | None, key(
+        "of the control acceleration a^; none: not measured", "(m/s^2)^2")] = None
 
     def rows(self) -> list[tuple[str, int, float]]:
         """(name, state index, variance) of each measurement."""
@@ -88,29 +86,31 @@ class Sensors(Strict):
 
 
 class Knowledge(Strict):
-    """What an estimator is told.
+    """What an estimator is told."""
 
-    model: `grid` (four states, one mode per value of f), `augmented` (f appended, bilinear) or `scheduled` (f
-    appended, a_z taken as known: linear). grid: values of f, in order. initial_variance of (D, v, a^, a_z).
-    rate_prior: over the grid, `uniform`, or `normal` with the mean and variance of the next two. rate_initial,
-    rate_initial_variance, rate_variance_rate (1/s): f as a random walk; target_variance_rate: process
-    noise on a_z in the two models with f appended. nominal: the f of the grid model's plain linear part.
-    speed_variance_rate ((m/s)^2/s) and the variances of the measurements: the truth's own where left out."""
-
-    model: Literal["grid", "augmented", "scheduled"] = "grid"
-    grid: Annotated[list[NonNegativeFloat], Field(min_length=1)]
-    initial_variance: Annotated[list[NonNegativeFloat], Field(min_length=4, max_length=4)]
-    rate_prior: Literal["uniform", "normal"] = "uniform"
-    rate_initial: float = 1.0
-    rate_initial_variance: PositiveFloat = 0.01
-    rate_variance_rate: PositiveFloat = 1e-3
-    target_variance_rate: NonNegativeFloat = 0.0
-    nominal: NonNegativeFloat = 1.0
-    speed_variance_rate: NonNegativeFloat | None = None
-    displacement_variance: PositiveFloat | None = None
-    speed_variance: PositiveFloat | None = None
-    target_acceleration_variance: PositiveFloat | None = None
-    control_acceleration_variance: PositiveFloat | None = None
+    model: Annotated[Literal["grid", "augmented", "scheduled"], key(
+        "grid: four states, one mode per value of f; augmented: f appended, bilinear; scheduled: f appended, a_z "
+        "taken as known, linear")] = "grid"
+    grid: Annotated[list[NonNegativeFloat], Field(min_length=1), key("values of f, in order", "1")]
+    initial_variance: Annotated[list[NonNegativeFloat], Field(min_length=4, max_length=4), key(
+        "of D, v, a^, a_z", "[m^2, (m/s)^2, (m/s^2)^2, (m/s^2)^2]")]
+    rate_prior: Annotated[Literal["uniform", "normal"], key(
+        "over the grid: uniform, or normal with the next two")] = "uniform"
+    rate_initial: Annotated[float, key("mean of f at the start", "1")] = 1.0
+    rate_initial_variance: Annotated[PositiveFloat, key("its variance", "1")] = 0.01
+    rate_variance_rate: Annotated[PositiveFloat, key("of f as a random walk", "1/s")] = 1e-3
+    target_variance_rate: Annotated[NonNegativeFloat, key(
+        "process noise on a_z in the two models with f appended", "(m/s^2)^2/s")] = 0.0
+    nominal: Annotated[NonNegativeFloat, key("f of the grid model's plain linear part", "1")] = 1.0
+    speed_variance_rate: Annotated[NonNegativeFloat | None, key(
+        "variance per second of the noise on the speed; none: the truth's own", "(m/s)^2/s")] = None
+    displacement_variance: Annotated[PositiveFloat | None, key(
+        "of the displacement's sensor; none: the truth's own", "m^2")] = None
+    speed_variance: Annotated[PositiveFloat | None, key("of the speed's; none: the truth's own", "(m/s)^2")] = None
+    target_acceleration_variance: Annotated[PositiveFloat | None, key(
+        "of a_z's; none: the truth's own", "(m/s^2)^2")] = None
+    control_acceleration_variance: Annotated[PositiveFloat | None, key(
+        "of a^'s; none: the truth's own", "(m/s^2)^2")] = None
 
     @model_validator(mode="after")
     def _monotone(self) -> Knowledge:
@@ -131,12 +131,12 @@ class Knowledge(Strict):
 class BrakingConfig(ScenarioConfig):
     """The braking scenario, resolved for one variant."""
 
-    plant: Plant  # pyright: ignore[reportIncompatibleVariableOverride]
-    disturbance: Disturbance  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
-    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
-    channel: Channel = Ideal()  # pyright: ignore[reportIncompatibleVariableOverride]
-    faults: Faults = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
+    plant: Annotated[Plant, TABLES["plant"]]  # pyright: ignore[reportIncompatibleVariableOverride]
+    disturbance: Annotated[Disturbance, TABLES["disturbance"]]  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
+    sensors: Annotated[Sensors, TABLES["sensors"]]  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
+    channel: Annotated[Channel, TABLES["channel"]] = Ideal()  # pyright: ignore[reportIncompatibleVariableOverride]
+    faults: Annotated[Faults, TABLES["faults"]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    knowledge: Annotated[Knowledge, TABLES["knowledge"]]  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")
     def _consistent(self) -> BrakingConfig:

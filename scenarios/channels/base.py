@@ -5,7 +5,7 @@ A channel draws from the stream "channel" and streams beside it only, so that on
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..arrays import Array, Index, Mask
 from ..model import Reception
 from ..randomness import RunRandom, Streams
 from ..schema import Strict
+from ..strict import key
 
 OLD = "the receiver hands on old values as if they were fresh"
 
@@ -39,12 +40,11 @@ class Arrived:
 
 
 class Base(Strict):
-    """What every channel answers. draw: which elements arrive, (steps, ny, S) bool. reception: what estimators know.
+    """What every channel answers. draw: which elements arrive, (steps, ny, S) bool. reception: what estimators know."""
 
-    silent: what the receiver makes of an element that does not arrive: `nothing`, or `hold`, the last value it has of
-    it, handed on as if it were fresh."""
-
-    silent: Literal["nothing", "hold"] = "nothing"
+    silent: Annotated[Literal["nothing", "hold"], key(
+        "what the receiver makes of an element that does not arrive: nothing, or hold: the last value it has of "
+        "it, handed on as if it were fresh")] = "nothing"
 
     @property
     def longest(self) -> int:

@@ -10,21 +10,23 @@ from pydantic import Field, PositiveInt, model_validator
 from ..arrays import Index, Mask
 from ..model import Reception
 from ..randomness import RunRandom
+from ..strict import KIND, key
 from .base import Base
 
 
 class Csma(Base):
     """p-persistent CSMA: a packet arrives with probability p (1 - p)^(N(k) - 1), N(k) trains contending (Zou et al.
-    2018, eqs. (6), (7)).
+    2018, eqs. (6), (7))."""
 
-    trains: N, a number or [least, most]. traffic: `constant` (needs a single number), `uniform` (fresh each step), or
-    `birth-death` (a train enters or leaves the cell with probability `rate` per step each)."""
-
-    kind: Literal["csma"]
-    p: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    trains: PositiveInt | Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
-    traffic: Literal["constant", "uniform", "birth-death"] = "constant"
-    rate: Annotated[float, Field(gt=0, le=0.5)] = 0.01
+    kind: Annotated[Literal["csma"], KIND]
+    p: Annotated[float, Field(gt=0, lt=1), key("probability of transmitting in a slot", "1")] = 0.5
+    trains: Annotated[PositiveInt | Annotated[list[PositiveInt], Field(min_length=2, max_length=2)], key(
+        "N, a number or [least, most]", "1")]
+    traffic: Annotated[Literal["constant", "uniform", "birth-death"], key(
+        "constant (needs a single number), uniform (fresh each step), or birth-death (a train enters or leaves "
+        "the cell)")] = "constant"
+    rate: Annotated[float, Field(gt=0, le=0.5), key(
+        "probability per step that a train enters, and that one leaves (birth-death)", "1")] = 0.01
 
     @model_validator(mode="after")
     def _consistent(self) -> Csma:

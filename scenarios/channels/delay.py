@@ -10,6 +10,7 @@ from pydantic import Field, NonNegativeInt, field_validator
 from ..arrays import Index, Mask
 from ..model import Reception
 from ..randomness import RunRandom
+from ..strict import KIND, key
 from .base import Arrived, Base, Sent, beside
 from .csma import Csma
 from .gilbert_elliott import GilbertElliott
@@ -24,15 +25,14 @@ Loss = Annotated[Ideal | Bernoulli | GilbertElliott | Csma | RandomAccess | Mark
 
 
 class Delay(Base):
-    """What gets through `loss` arrives `steps` steps late: a number, or [least, most], uniform and fresh each step.
+    """What gets through `loss` arrives late. The losses are those of `loss` without delay, bit for bit."""
 
-    reorder: packets may overtake each other; false: they queue, so that none arrives before an earlier one. The losses
-    are those of `loss` without delay, bit for bit."""
-
-    kind: Literal["delay"]
-    steps: NonNegativeInt | Annotated[list[NonNegativeInt], Field(min_length=2, max_length=2)] = 1
-    reorder: bool = True
-    loss: Loss = Ideal()
+    kind: Annotated[Literal["delay"], KIND]
+    steps: Annotated[NonNegativeInt | Annotated[list[NonNegativeInt], Field(min_length=2, max_length=2)], key(
+        "steps late: a number, or [least, most], uniform and fresh each step", "1")] = 1
+    reorder: Annotated[bool, key(
+        "whether packets may overtake each other; false: they queue, none arrives before an earlier one")] = True
+    loss: Annotated[Loss, key("the channel that loses packets")] = Ideal()
 
     @field_validator("steps")
     @classmethod

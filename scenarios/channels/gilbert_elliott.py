@@ -11,23 +11,24 @@ from ..arrays import Mask
 from ..model import Reception
 from ..randomness import RunRandom
 from ..schema import Probability
+from ..strict import KIND, key
 from .base import Base, beside
 
 Chance = Annotated[float, Field(ge=0, le=1)]
 
 
 class GilbertElliott(Base):
-    """A packet (all measurements of a step) arrives with probability p_good in good steps, p_bad in bad ones.
+    """A packet (all measurements of a step) arrives with another probability in good steps and in bad ones.
 
-    p_good_bad, p_bad_good: probabilities of turning from one step to the next; a bad stretch lasts 1 / p_bad_good
-    steps on average. The first step's state is drawn from the stationary distribution. The states have a stream of
-    their own, the packets that of `bernoulli`: with p_good = p_bad it is that channel, bit for bit."""
+    A bad stretch lasts 1 / p_bad_good steps on average. The first step's state is drawn from the stationary
+    distribution. The states have a stream of their own, the packets that of `bernoulli`: with p_good = p_bad it is that
+    channel, bit for bit."""
 
-    kind: Literal["gilbert-elliott"]
-    p_good_bad: Probability
-    p_bad_good: Probability
-    p_good: Chance = 1.0
-    p_bad: Chance = 0.0
+    kind: Annotated[Literal["gilbert-elliott"], KIND]
+    p_good_bad: Annotated[Probability, key("probability of turning bad from one step to the next", "1")]
+    p_bad_good: Annotated[Probability, key("probability of turning good", "1")]
+    p_good: Annotated[Chance, key("probability of arrival in good steps", "1")] = 1.0
+    p_bad: Annotated[Chance, key("probability of arrival in bad steps", "1")] = 0.0
 
     def bad(self, random: RunRandom, steps: int) -> Mask:
         """Which steps are bad (steps, S)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -10,13 +10,14 @@ from ..arrays import Mask
 from ..model import Reception
 from ..randomness import RunRandom
 from ..schema import Probability
+from ..strict import KIND, key
 from .base import Base
 
 
 class Ideal(Base):
     """Everything arrives."""
 
-    kind: Literal["ideal"] = "ideal"
+    kind: Annotated[Literal["ideal"], KIND] = "ideal"
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         return np.ones((steps, ny, len(random.runs)), dtype=bool)
@@ -28,8 +29,8 @@ class Ideal(Base):
 class Bernoulli(Base):
     """Each packet (all measurements of a step) arrives with probability p, independently."""
 
-    kind: Literal["bernoulli"]
-    p: Probability
+    kind: Annotated[Literal["bernoulli"], KIND]
+    p: Annotated[Probability, key("probability of arrival", "1")]
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         arrived = random.uniform(0.0, 1.0, steps) < self.p

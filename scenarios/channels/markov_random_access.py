@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from ..arrays import Array, Index, Mask
 from ..model import Reception
 from ..randomness import RunRandom
+from ..strict import KIND, key
 from .nodes import OneAtATime
 
 Row = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
@@ -18,12 +19,12 @@ Row = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
 class MarkovRandomAccess(OneAtATime):
     """Exactly one node transmits each step; the next one follows from it by a Markov chain.
 
-    transition: row i has the probabilities of who follows node i. stay: instead of it, the probability that the same
-    node goes on, all others following alike. The first node is drawn from the chain's stationary distribution."""
+    The first node is drawn from the chain's stationary distribution."""
 
-    kind: Literal["markov-random-access"]
-    transition: list[Row] = []
-    stay: Annotated[float, Field(ge=0, lt=1)] | None = None
+    kind: Annotated[Literal["markov-random-access"], KIND]
+    transition: Annotated[list[Row], key("row i has the probabilities of who follows node i", "1")] = []
+    stay: Annotated[Annotated[float, Field(ge=0, lt=1)] | None, key(
+        "in place of it: the probability that the same node goes on, all others following alike", "1")] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> MarkovRandomAccess:

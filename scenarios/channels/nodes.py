@@ -10,16 +10,18 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..arrays import Index, Mask
+from ..strict import key
 from .base import Base
 
 Node = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)]
 
 
 class OneAtATime(Base):
-    """nodes[i] lists the measurement elements (from 0) of node i; each element is a node of its own where it is left
-    out (coupled cars: each car)."""
+    """One node transmits at a time."""
 
-    nodes: list[Node] = []
+    nodes: Annotated[list[Node], key(
+        "nodes[i] lists the measurement elements (from 0) of node i; none: each element is a node (coupled cars: "
+        "each car)", "1")] = []
 
     @model_validator(mode="after")
     def _own_elements(self) -> OneAtATime:

@@ -10,16 +10,17 @@ from pydantic import Field, model_validator
 from ..arrays import Mask
 from ..model import Reception
 from ..randomness import RunRandom
+from ..strict import KIND, key
 from .nodes import Node, OneAtATime
 
 
 class RandomAccess(OneAtATime):
-    """Random access protocol: at each step exactly one node transmits, node i with probability p[i] (Zou, Wang, Han,
-    Zhou, eqs. (1), (4), (5)). nodes[i] lists the measurement elements (from 0) of node i."""
+    """Random access protocol: at each step exactly one node transmits (Zou, Wang, Han, Zhou, eqs. (1), (4), (5))."""
 
-    kind: Literal["random-access"]
-    p: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1)]
-    nodes: list[Node]  # pyright: ignore[reportGeneralTypeIssues]
+    kind: Annotated[Literal["random-access"], KIND]
+    p: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1), key("probability of each node", "1")]
+    nodes: Annotated[list[Node], key(
+        "nodes[i] lists the measurement elements (from 0) of node i", "1")]  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
     def _consistent(self) -> RandomAccess:

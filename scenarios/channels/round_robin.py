@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from ..arrays import Mask
 from ..model import Reception
 from ..randomness import RunRandom
+from ..strict import KIND
 from .nodes import OneAtATime
 
 
 class RoundRobin(OneAtATime):
     """Node k mod n transmits at step k, in every run: nothing is drawn. One node is the ideal channel."""
 
-    kind: Literal["round-robin"]
+    kind: Annotated[Literal["round-robin"], KIND]
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         turn = np.arange(steps) % len(self.groups(ny))

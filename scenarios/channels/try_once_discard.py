@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from ..arrays import Mask
 from ..model import Reception
 from ..randomness import RunRandom
+from ..strict import KIND
 from .base import Arrived, Sent
 from .nodes import OneAtATime
 
@@ -21,7 +22,7 @@ class TryOnceDiscard(OneAtATime):
 
     It picks nodes for their noise too, so that no covariance that takes readings as they come holds any more."""
 
-    kind: Literal["try-once-discard"]
+    kind: Annotated[Literal["try-once-discard"], KIND]
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         raise NotImplementedError("try-once-discard looks at the readings: it is asked by `carried`")

@@ -15,38 +15,36 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_
 from ..arrays import Array
 from ..channels import Channel, Delay, OneAtATime, RandomAccess
 from ..faults import Faults
-from ..schema import ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig, Strict
+from ..strict import KIND, key
 
 
 class Command(Strict):
-    """Driving forces in N of the end cars and of the cars between them, from step `start` on (Table II)."""
+    """Driving forces from a step on (Table II)."""
 
-    start: Annotated[int, Field(ge=0)]
-    end: float
-    middle: float
+    start: Annotated[int, Field(ge=0), key("step from which on they hold", "1")]
+    end: Annotated[float, key("force of each end car", "N")]
+    middle: Annotated[float, key("force of each car between them", "N")]
 
 
 class Plant(Strict):
-    """n cars coupled by springs (eqs. (1), (2)).
+    """n cars coupled by springs (eqs. (1), (2))."""
 
-    cars: n; masses: kg of each car, front first, where they are not end_mass for the end cars and middle_mass for the
-    others. start: what the estimators believe it to be, the truth or zero in every state;
-    start_error: their first errors are uniform within +-[m, m/s] of that. stiffness N/m, slack m, car_length m.
-    drive: `distributed`, every car has a driving force (DD), or `push-pull`, the end cars only (PPD).
-    commands in the order of their steps."""
-
-    kind: Literal["coupled-cars"]
-    cars: Annotated[int, Field(ge=2, le=64)] = 6
-    end_mass: PositiveFloat
-    middle_mass: PositiveFloat
-    masses: list[PositiveFloat] | None = None
-    start: Literal["truth", "zero"] = "truth"
-    start_error: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)] = [0.0, 0.0]
-    stiffness: PositiveFloat
-    slack: NonNegativeFloat
-    car_length: PositiveFloat
-    drive: Literal["distributed", "push-pull"] = "distributed"
-    commands: Annotated[list[Command], Field(min_length=1)]
+    kind: Annotated[Literal["coupled-cars"], KIND]
+    cars: Annotated[int, Field(ge=2, le=64), key("number of cars n", "1")] = 6
+    end_mass: Annotated[PositiveFloat, key("mass of the end cars", "kg")]
+    middle_mass: Annotated[PositiveFloat, key("mass of the others", "kg")]
+    masses: Annotated[list[PositiveFloat] | None, key("mass of each car, front first, in place of these", "kg")] = None
+    start: Annotated[Literal["truth", "zero"], key(
+        "what the estimators believe the start to be: the truth, or zero in every state")] = "truth"
+    start_error: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2), key(
+        "their first errors are uniform within +- of that", "[m, m/s]")] = [0.0, 0.0]
+    stiffness: Annotated[PositiveFloat, key("of a coupling", "N/m")]
+    slack: Annotated[NonNegativeFloat, key("of a coupling", "m")]
+    car_length: Annotated[PositiveFloat, key("length of a car", "m")]
+    drive: Annotated[Literal["distributed", "push-pull"], key(
+        "distributed: every car has a driving force (DD); push-pull: the end cars only (PPD)")] = "distributed"
+    commands: Annotated[list[Command], Field(min_length=1), key("driving forces, in the order of their steps")]
 
     @model_validator(mode="after")
     def _consistent(self) -> Plant:
@@ -79,16 +77,15 @@ class Plant(Strict):
 
 
 class Disturbance(Strict):
-    """Resistive force (Remark 2), all of it unknown to the estimators: c0 N/kg, c1 N s/(m kg), c2 N s^2/(m^2 kg), all
-    three times `scale`; ramp: largest ramp force on a car in N, alternating over ramp_length metres of line, from a
-    place that is random per run."""
+    """Resistive force (Remark 2), all of it unknown to the estimators."""
 
-    c0: NonNegativeFloat
-    c1: NonNegativeFloat
-    c2: NonNegativeFloat
-    scale: NonNegativeFloat = 1.0
-    ramp: NonNegativeFloat = 0.0
-    ramp_length: PositiveFloat = 4000.0
+    c0: Annotated[NonNegativeFloat, key("constant part", "N/kg")]
+    c1: Annotated[NonNegativeFloat, key("part that grows with the speed", "N s/(m kg)")]
+    c2: Annotated[NonNegativeFloat, key("part that grows with its square", "N s^2/(m^2 kg)")]
+    scale: Annotated[NonNegativeFloat, key("factor on all three", "1")] = 1.0
+    ramp: Annotated[NonNegativeFloat, key(
+        "largest ramp force on a car, alternating along the line from a place that is random per run", "N")] = 0.0
+    ramp_length: Annotated[PositiveFloat, key("length of line over which it alternates", "m")] = 4000.0
 
     @property
     def law(self) -> tuple[float, float, float]:
@@ -97,18 +94,18 @@ class Disturbance(Strict):
 
 
 class Sensors(Strict):
-    """y = C x + w (eq. (4)): weights c~1, c~2 of position and speed in C, standard deviations of w in that scale."""
+    """y = C x + w (eq. (4))."""
 
-    position_weight: PositiveFloat
-    speed_weight: PositiveFloat
-    position_noise: PositiveFloat
-    speed_noise: PositiveFloat
+    position_weight: Annotated[PositiveFloat, key("c~1, weight of a position in C", "1")]
+    speed_weight: Annotated[PositiveFloat, key("c~2, weight of a speed in C", "1")]
+    position_noise: Annotated[PositiveFloat, key("standard deviation of w, in that scale", "m")]
+    speed_noise: Annotated[PositiveFloat, key("standard deviation of w, in that scale", "m/s")]
 
 
 class CarAccess(Strict):
     """Random access among the cars: each step exactly one car's position and speed arrive, all equally likely."""
 
-    kind: Literal["random-access-cars"]
+    kind: Annotated[Literal["random-access-cars"], KIND]
 
     def of(self, cars: int) -> RandomAccess:
         """The channel for a train of that many cars."""
@@ -131,24 +128,21 @@ def of_cars(channel: AnyChannel, cars: int) -> Channel:
 
 
 class Knowledge(Strict):
-    """What the estimators are told.
+    """What the estimators are told."""
 
-    speed_limit m/s: delta_i is the resistive law at this speed (Remark 2). delta: sqrt(sum delta_i^2) in N, to which
-    the delta_i are scaled. trains: range of N(k) the estimators reckon with, the channel's own where left out. theta,
-    varpi: decay asked of `ultimate-bound`, bound asked of `fastest-decay`. force_share: standard deviation of the
-    white process noise force that a Kalman filter takes for the resistive force, as a share of delta_i. initial_sd
-    [m, m/s]: standard deviations of the start, for covariances. position_noise, speed_noise: standard deviations of w,
-    the sensors' own where left out."""
-
-    speed_limit: PositiveFloat
-    delta: NonNegativeFloat | None = None
-    trains: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] | None = None
-    theta: Annotated[float, Field(gt=0, lt=1)] = 0.98
-    varpi: PositiveFloat
-    force_share: NonNegativeFloat
-    initial_sd: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)] = [0.0, 0.0]
-    position_noise: PositiveFloat | None = None
-    speed_noise: PositiveFloat | None = None
+    speed_limit: Annotated[PositiveFloat, key("delta_i is the resistive law at this speed (Remark 2)", "m/s")]
+    delta: Annotated[NonNegativeFloat | None, key(
+        "sqrt(sum delta_i^2), to which the delta_i are scaled; none: as they are", "N")] = None
+    trains: Annotated[Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] | None, key(
+        "range of N(k) that the estimators reckon with; none: the channel's own", "1")] = None
+    theta: Annotated[float, Field(gt=0, lt=1), key("decay asked of `ultimate-bound`", "1")] = 0.98
+    varpi: Annotated[PositiveFloat, key("bound asked of `fastest-decay`", "1")]
+    force_share: Annotated[NonNegativeFloat, key(
+        "standard deviation of the white force that a Kalman filter takes for the resistive one, over delta_i", "1")]
+    initial_sd: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2), key(
+        "standard deviations of the start, for covariances", "[m, m/s]")] = [0.0, 0.0]
+    position_noise: Annotated[PositiveFloat | None, key("standard deviation of w; none: the sensors' own", "m")] = None
+    speed_noise: Annotated[PositiveFloat | None, key("standard deviation of w; none: the sensors' own", "m/s")] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Knowledge:
@@ -158,10 +152,10 @@ class Knowledge(Strict):
 
 
 class Performance(Strict):
-    """Weights of z = M x, M = diag(position I, speed I)."""
+    """z = M x, M = diag(position I, speed I)."""
 
-    position: PositiveFloat
-    speed: PositiveFloat
+    position: Annotated[PositiveFloat, key("weight of positions", "1")]
+    speed: Annotated[PositiveFloat, key("weight of speeds", "1")]
 
 
 def headway_name(speed: float) -> str:
@@ -170,15 +164,13 @@ def headway_name(speed: float) -> str:
 
 
 class Headway(Strict):
-    """Headway time (L_train + L_error + v reaction_time + v braking_time + L_safe) / v at the speeds v (m/s).
+    """Headway time (L_train + L_error + v reaction_time + v braking_time + L_safe) / v."""
 
-    train_length, safe_distance m; reaction_time s; braking_time s: braking distance over speed."""
-
-    train_length: NonNegativeFloat
-    safe_distance: NonNegativeFloat
-    reaction_time: NonNegativeFloat
-    braking_time: NonNegativeFloat
-    speeds: Annotated[list[PositiveFloat], Field(min_length=1)]
+    train_length: Annotated[NonNegativeFloat, key("L_train", "m")]
+    safe_distance: Annotated[NonNegativeFloat, key("L_safe", "m")]
+    reaction_time: Annotated[NonNegativeFloat, key("before the brakes act", "s")]
+    braking_time: Annotated[NonNegativeFloat, key("braking distance over speed", "s")]
+    speeds: Annotated[list[PositiveFloat], Field(min_length=1), key("v for which it is told", "m/s")]
 
     @model_validator(mode="after")
     def _apart(self) -> Headway:
@@ -190,14 +182,14 @@ class Headway(Strict):
 class CoupledCarsConfig(ScenarioConfig):
     """A scenario with `plant.kind = "coupled-cars"`."""
 
-    plant: Plant
-    disturbance: Disturbance
-    sensors: Sensors
-    channel: AnyChannel
-    faults: Faults = ()
-    knowledge: Knowledge
-    performance: Performance
-    headway: Headway
+    plant: Annotated[Plant, TABLES["plant"]]
+    disturbance: Annotated[Disturbance, TABLES["disturbance"]]
+    sensors: Annotated[Sensors, TABLES["sensors"]]
+    channel: Annotated[AnyChannel, TABLES["channel"]]
+    faults: Annotated[Faults, TABLES["faults"]] = ()
+    knowledge: Annotated[Knowledge, TABLES["knowledge"]]
+    performance: Annotated[Performance, key("what the certified bounds are about")]
+    headway: Annotated[Headway, key("the headway that position errors cost")]
 
     @model_validator(mode="after")
     def _nodes_fit(self) -> CoupledCarsConfig:

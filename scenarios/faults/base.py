@@ -5,6 +5,7 @@ Arrays are those of whole runs, (K, .., S): K steps, S runs."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from pydantic import ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
@@ -12,6 +13,7 @@ from pydantic import ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_v
 from ..arrays import Array, Mask
 from ..randomness import RunRandom
 from ..schema import Name, Strict
+from ..strict import key
 from ..world import Sensing
 
 
@@ -41,22 +43,19 @@ class Readings:
 
 
 class Base(Strict):
-    """One entry of [[faults]]. name: what it is called where its kind stands twice. sensors: names of measurement
-    elements (`position` means `position 1`, .. too); all where left out. told: estimators are told which readings are
-    faulty (they get none of them).
-
-    from, to: s since the start, between which there is the fault. every, lasts: within these, only in episodes of
-    `lasts` s that begin at random, once in `every` s on average."""
+    """One entry of [[faults]]."""
 
     model_config = ConfigDict(populate_by_name=True)
 
-    name: Name | None = None
-    sensors: tuple[str, ...] = ()
-    from_: NonNegativeFloat = Field(0.0, alias="from")
-    to: PositiveFloat | None = None
-    every: PositiveFloat | None = None
-    lasts: PositiveFloat = 10.0
-    told: bool = False
+    name: Annotated[Name | None, key("what it is called where its kind stands twice")] = None
+    sensors: Annotated[tuple[str, ...], key(
+        "names of measurement elements (position means position 1, .. too); none: all")] = ()
+    from_: Annotated[NonNegativeFloat, key("beginning, after the start", "s")] = Field(0.0, alias="from")
+    to: Annotated[PositiveFloat | None, key("end, after the start; none: never", "s")] = None
+    every: Annotated[PositiveFloat | None, key(
+        "only in episodes that begin at random, once in this time on average", "s")] = None
+    lasts: Annotated[PositiveFloat, key("length of an episode", "s")] = 10.0
+    told: Annotated[bool, key("whether estimators are told which readings are faulty (they get none of them)")] = False
 
     @model_validator(mode="after")
     def _in_order(self) -> Base:

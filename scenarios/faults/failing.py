@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from ..channels.gilbert_elliott import bursts
 from ..randomness import RunRandom
 from ..schema import Probability
+from ..strict import KIND, key
 from ..world import Sensing
 from .base import Base, Readings
 
@@ -16,7 +17,7 @@ from .base import Base, Readings
 class Stuck(Base):
     """The reading stays what it was when the fault began."""
 
-    kind: Literal["stuck"]
+    kind: Annotated[Literal["stuck"], KIND]
 
     def check(self, sensing: Sensing, following: bool = True) -> None:
         super().check(sensing)
@@ -35,10 +36,10 @@ class Stuck(Base):
 
 
 class Drift(Base):
-    """The reading moves away by `rate` units a second from the beginning of the fault on."""
+    """The reading moves away from the beginning of the fault on."""
 
-    kind: Literal["drift"]
-    rate: float = 0.1
+    kind: Annotated[Literal["drift"], KIND]
+    rate: Annotated[float, key("by which it moves", "the reading's, per s")] = 0.1
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         elements = readings.sensing.chosen(self.sensors)
@@ -52,7 +53,7 @@ class Drift(Base):
 class Dropout(Base):
     """The sensor gives nothing."""
 
-    kind: Literal["dropout"]
+    kind: Annotated[Literal["dropout"], KIND]
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         inside, _ = self.present(random, readings.time)
@@ -62,9 +63,9 @@ class Dropout(Base):
 class Burst(Base):
     """Readings are lost in bursts: a two-state chain, all sensors of the entry together (Gilbert-Elliott)."""
 
-    kind: Literal["burst"]
-    p_good_bad: Probability = 0.02
-    p_bad_good: Probability = 0.2
+    kind: Annotated[Literal["burst"], KIND]
+    p_good_bad: Annotated[Probability, key("probability of turning bad from one step to the next", "1")] = 0.02
+    p_bad_good: Annotated[Probability, key("probability of turning good", "1")] = 0.2
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         bad = bursts(random, len(readings.time), self.p_good_bad, self.p_bad_good)

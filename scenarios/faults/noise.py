@@ -8,20 +8,21 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from ..randomness import RunRandom
+from ..strict import KIND, key
 from ..world import Sensing
 from .base import Base, Readings
 
 
 class Outliers(Base):
-    """A share of the readings is off by `size` standard deviations of its sensor, to both sides or to plus only.
+    """A share of the readings is off.
 
     Each reading draws whether it is one, whatever the share: the outliers of a smaller share are among those of a
     greater one."""
 
-    kind: Literal["outliers"]
-    share: Annotated[float, Field(ge=0, le=1)] = 0.1
-    size: NonNegativeFloat = 20.0
-    sign: Literal["both", "plus"] = "both"
+    kind: Annotated[Literal["outliers"], KIND]
+    share: Annotated[float, Field(ge=0, le=1), key("of the readings that are outliers", "1")] = 0.1
+    size: Annotated[NonNegativeFloat, key("by how much they are off", "standard deviations")] = 20.0
+    sign: Annotated[Literal["both", "plus"], key("to both sides, or to plus only")] = "both"
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         elements = readings.sensing.chosen(self.sensors)
@@ -42,8 +43,8 @@ class StudentT(Base):
     Where a setting's readings have no noise of their own, t-distributed noise of the sensor's standard deviation is
     added. No single reading counts as faulty."""
 
-    kind: Literal["student-t"]
-    dof: PositiveFloat = 3.0
+    kind: Annotated[Literal["student-t"], KIND]
+    dof: Annotated[PositiveFloat, key("degrees of freedom", "1")] = 3.0
 
     def check(self, sensing: Sensing, following: bool = True) -> None:
         super().check(sensing)

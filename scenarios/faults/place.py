@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from ..arrays import Array
 from ..randomness import RunRandom
+from ..strict import KIND, key
 from ..world import Sensing
 from .base import Base, Readings
 
 
 class Jump(Base):
-    """From `from` on the position is `size` metres further than it was (until `to`, of a reading).
+    """From the beginning on the position is further than it was (until `to`, of a reading)."""
 
-    truth = true: the vehicle is somewhere else, all readings are right, and so is the line under it: it is its
-    coordinates that have moved. truth = false: only the readings of `sensors` move, by `size` of their own unit where
-    the setting has no position."""
-
-    kind: Literal["jump"]
-    size: float = 30.0
-    truth: bool = True
+    kind: Annotated[Literal["jump"], KIND]
+    size: Annotated[float, key("by how much", "m, or the reading's")] = 30.0
+    truth: Annotated[bool, key(
+        "true: the vehicle is somewhere else, all readings are right, and so is the line under it: it is its "
+        "coordinates that have moved; false: only the readings of `sensors` move, by their own unit where the "
+        "setting has no position")] = True
 
     def check(self, sensing: Sensing, following: bool = True) -> None:
         super().check(sensing)
@@ -65,12 +65,12 @@ class Jump(Base):
 
 
 class Stamps(Base):
-    """Time stamps are wrong by `offset` s: what is said to be of now is of `offset` s ago (of later, if negative).
+    """Time stamps are wrong: what is said to be of now is of some time ago.
 
     Between steps the noise-free reading is interpolated; the noise stays that of the step."""
 
-    kind: Literal["stamps"]
-    offset: float = 1.0
+    kind: Annotated[Literal["stamps"], KIND]
+    offset: Annotated[float, key("how long ago it is of (negative: later)", "s")] = 1.0
 
     def check(self, sensing: Sensing, following: bool = True) -> None:
         super().check(sensing)

@@ -9,7 +9,8 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from ..channels import Channel, Ideal, RandomAccess
 from ..faults import Faults
-from ..schema import Probability, ScenarioConfig, Strict
+from ..schema import TABLES, Probability, ScenarioConfig, Strict
+from ..strict import KIND, key
 from .matrices import Matrix, at_step, listed, shape, varies
 
 PSD_ROUNDING = 1e-10
@@ -17,46 +18,45 @@ PSD_ROUNDING = 1e-10
 
 
 class Plant(Strict):
-    """A (nx, nx), B (nx, nw), C (ny, nx), Q (nw, nw) of w, R (ny, ny) of v, initial mean x0 (nx,), covariance P0.
+    """x(k+1) = A x(k) + B w(k), y(k) = C x(k) + v(k)."""
 
-    index: which k the motion from step k - 1 to step k takes its A, B, Q at: `departure` is k - 1, as in
-    x(k+1) = A(k) x(k) + B(k) w(k); `arrival` is k. C and R always belong to the measurement of step k = 1, 2, ..
-    states, units: names and units of the states; x1, x2, .. and "1" (none) where left out."""
-
-    kind: Literal["linear"]
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    Q: Matrix
-    R: Matrix
-    x0: Annotated[list[float], Field(min_length=1)]
-    P0: Matrix
-    index: Literal["departure", "arrival"] = "departure"
-    states: tuple[Annotated[str, Field(pattern=r"^[^\W\d_][\w .-]{0,39}$")], ...] = ()
-    units: tuple[Annotated[str, Field(pattern=r"^[\w%°/(][\w%°/^*·.() -]{0,19}$")], ...] = ()
+    kind: Annotated[Literal["linear"], KIND]
+    A: Annotated[Matrix, key("transition (nx, nx)", "the states'")]
+    B: Annotated[Matrix, key("input of the noise (nx, nw)", "the states'")]
+    C: Annotated[Matrix, key("measurement (ny, nx)", "the states'")]
+    Q: Annotated[Matrix, key("covariance of w (nw, nw)", "the states'")]
+    R: Annotated[Matrix, key("covariance of v (ny, ny)", "the states'")]
+    x0: Annotated[list[float], Field(min_length=1), key("mean of the start (nx,)", "the states'")]
+    P0: Annotated[Matrix, key("covariance of the start (nx, nx)", "the states'")]
+    index: Annotated[Literal["departure", "arrival"], key(
+        "which k the motion from step k - 1 to k takes its A, B, Q at: departure, k - 1 as in x(k+1) = A(k) x(k) "
+        "+ B(k) w(k); arrival, k. C and R belong to the measurement of step k = 1, 2, ..")] = "departure"
+    states: Annotated[tuple[Annotated[str, Field(pattern=r"^[^\W\d_][\w .-]{0,39}$")], ...], key(
+        "names of the states; none: x1, x2, ..")] = ()
+    units: Annotated[tuple[Annotated[str, Field(pattern=r"^[\w%°/(][\w%°/^*·.() -]{0,19}$")], ...], key(
+        "units of the states; none: 1")] = ()
 
 
 class Knowledge(Strict):
-    """What the estimators are told otherwise than the truth: any matrix of the plant, the access probabilities p.
+    """What the estimators are told otherwise than the truth."""
 
-    Q, R, P0: a number stands for as many times the plant's own."""
-
-    A: Matrix | None = None
-    B: Matrix | None = None
-    C: Matrix | None = None
-    Q: Matrix | PositiveFloat | None = None
-    R: Matrix | PositiveFloat | None = None
-    P0: Matrix | PositiveFloat | None = None
-    p: Annotated[list[Probability], Field(min_length=1)] | None = None
+    A: Annotated[Matrix | None, key("A in place of the plant's", "the states'")] = None
+    B: Annotated[Matrix | None, key("B in place of the plant's", "the states'")] = None
+    C: Annotated[Matrix | None, key("C in place of the plant's", "the states'")] = None
+    Q: Annotated[Matrix | PositiveFloat | None, key("Q in place of the plant's", "the states'")] = None
+    R: Annotated[Matrix | PositiveFloat | None, key("R in place of the plant's", "the states'")] = None
+    P0: Annotated[Matrix | PositiveFloat | None, key("P0 in place of the plant's", "the states'")] = None
+    p: Annotated[Annotated[list[Probability], Field(min_length=1)] | None, key(
+        "access probabilities in place of the channel's", "1")] = None
 
 
 class LinearConfig(ScenarioConfig):
     """A scenario with `plant.kind = "linear"`; shapes, covariances at each step and channel nodes are checked."""
 
-    plant: Plant  # pyright: ignore[reportIncompatibleVariableOverride]
-    channel: Channel = Ideal()  # pyright: ignore[reportIncompatibleVariableOverride]
-    faults: Faults = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    knowledge: Knowledge = Knowledge()  # pyright: ignore[reportIncompatibleVariableOverride]
+    plant: Annotated[Plant, TABLES["plant"]]  # pyright: ignore[reportIncompatibleVariableOverride]
+    channel: Annotated[Channel, TABLES["channel"]] = Ideal()  # pyright: ignore[reportIncompatibleVariableOverride]
+    faults: Annotated[Faults, TABLES["faults"]] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    knowledge: Annotated[Knowledge, TABLES["knowledge"]] = Knowledge()  # pyright: ignore[reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")
     def _consistent(self) -> LinearConfig:

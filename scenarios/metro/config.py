@@ -13,25 +13,25 @@ from ..channels import Channel, Ideal
 from ..faults import Faults
 from ..railway.line import LineOrFile, Train, TrainOrFile
 from ..railway.trip import Controller, check_trip
-from ..schema import ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig, Strict
+from ..strict import KIND, key
 from .disturbance import Disturbance, Sensors
 
 Two = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 
 
 class Plant(Strict):
-    """line, train: tables, or paths of TTOBench files. loads: mass kg of the train with its passengers on each section,
-    where it is not the train's own throughout; the train weighs itself, so that inputs are told as shares of the force
-    that does the same to its own mass. start_speed m/s; start_error: the estimators' first errors are uniform within
-    +-[m, m/s]."""
+    """A train on a line, driven from stop to stop."""
 
-    kind: Literal["metro"]
-    line: LineOrFile
-    train: TrainOrFile
-    loads: list[PositiveFloat] = []
-    controller: Controller
-    start_speed: NonNegativeFloat
-    start_error: Two
+    kind: Annotated[Literal["metro"], KIND]
+    line: Annotated[LineOrFile, key("the line: a table, or the path of a TTOBench file")]
+    train: Annotated[TrainOrFile, key("the train: a table, or the path of a TTOBench file")]
+    loads: Annotated[list[PositiveFloat], key(
+        "mass with passengers on each section, where it is not the train's own throughout; the train weighs "
+        "itself, so that inputs are told as shares of the force that does the same to its own mass", "kg")] = []
+    controller: Annotated[Controller, key("automatic train operation")]
+    start_speed: Annotated[NonNegativeFloat, key("speed at the start", "m/s")]
+    start_error: Annotated[Two, key("the estimators' first errors are uniform within +- this", "[m, m/s]")]
 
     @model_validator(mode="after")
     def _one_load_a_section(self) -> Plant:
@@ -53,21 +53,21 @@ class Plant(Strict):
 
 
 class Knowledge(Strict):
-    """What estimators are told. w_bar m/s^2, v_bar [m, m/s]: bounds. moments: the second moments that follow from
-    them (uniform: bound^2 / 3; gaussian: bound^2 / 9). sigma_w m/s^2, sigma_v [m, m/s]: standard deviations instead.
-    densities: what a particle filter draws and weighs by, Gaussian noise of these moments or uniform noise within the
-    bounds, fresh each step. Bounds of an estimator's own leave it the standard deviations of the scenario.
+    """What estimators are told. Bounds of an estimator's own leave it the standard deviations of the scenario."""
 
-    initial_sd [m, m/s]. kappa: a constant factor of the linearisation error instead of the computed one."""
-
-    w_bar: PositiveFloat
-    v_bar: Two
-    moments: Literal["uniform", "gaussian"] = "uniform"
-    densities: Literal["gaussian", "uniform"] = "gaussian"
-    sigma_w: PositiveFloat | None = None
-    sigma_v: Two | None = None
-    initial_sd: Two
-    kappa: NonNegativeFloat | None = None
+    w_bar: Annotated[PositiveFloat, key("bound of the disturbance", "m/s^2")]
+    v_bar: Annotated[Two, key("bounds of the sensors' noise", "[m, m/s]")]
+    moments: Annotated[Literal["uniform", "gaussian"], key(
+        "second moments that follow from the bounds: uniform, bound^2 / 3; gaussian, bound^2 / 9")] = "uniform"
+    densities: Annotated[Literal["gaussian", "uniform"], key(
+        "what a particle filter draws and weighs by: Gaussian noise of these moments, or uniform noise within the "
+        "bounds, fresh each step")] = "gaussian"
+    sigma_w: Annotated[PositiveFloat | None, key(
+        "standard deviation of the disturbance in place of that", "m/s^2")] = None
+    sigma_v: Annotated[Two | None, key("standard deviations of the noise in place of those", "[m, m/s]")] = None
+    initial_sd: Annotated[Two, key("standard deviations of the start", "[m, m/s]")]
+    kappa: Annotated[NonNegativeFloat | None, key(
+        "constant factor of the linearisation error in place of the computed one", "1/s")] = None
 
     @property
     def process_sd(self) -> float:
@@ -87,12 +87,12 @@ class Knowledge(Strict):
 class MetroConfig(ScenarioConfig):
     """The metro scenario, resolved for one variant."""
 
-    plant: Plant
-    disturbance: Disturbance  # pyright: ignore[reportGeneralTypeIssues]
-    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
-    channel: Channel = Ideal()
-    faults: Faults = ()
-    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
+    plant: Annotated[Plant, TABLES["plant"]]
+    disturbance: Annotated[Disturbance, TABLES["disturbance"]]  # pyright: ignore[reportGeneralTypeIssues]
+    sensors: Annotated[Sensors, TABLES["sensors"]]  # pyright: ignore[reportGeneralTypeIssues]
+    channel: Annotated[Channel, TABLES["channel"]] = Ideal()
+    faults: Annotated[Faults, TABLES["faults"]] = ()
+    knowledge: Annotated[Knowledge, TABLES["knowledge"]]  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
     def _consistent(self) -> MetroConfig:

@@ -13,6 +13,7 @@ from ..arrays import Array
 from ..machine_code import njit
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 
 Range = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 Form = Literal["white", "sinusoid", "switching", "constant", "physical", "gaussian"]
@@ -21,21 +22,20 @@ UNTOUCHED = np.array([[1.0], [1.0], [1.0], [0.0], [0.0]])
 
 
 class Disturbance(Strict):
-    """The acceleration disturbance w(k), |w| <= w_bar (m/s^2; gaussian: standard deviation w_bar / 3).
+    """The acceleration disturbance w(k), |w| <= w_bar (gaussian: standard deviation w_bar / 3)."""
 
-    sinusoid: period range s. switching: the sign alternates, pieces last `piece` s with amplitude `amplitude` w_bar.
-    physical: what follows from mass, traction and braking force (shares), gradient (m/m) and wind (m/s), each uniform
-    within +- the value and constant in a run, cut to +-w_bar."""
-
-    form: Form
-    w_bar: PositiveFloat
-    period: Range
-    piece: Range
-    amplitude: Range
-    mass: Annotated[float, Field(ge=0, lt=1)]
-    force: Annotated[float, Field(ge=0, lt=1)]
-    gradient: NonNegativeFloat
-    wind: NonNegativeFloat
+    form: Annotated[Form, key(
+        "white, sinusoid, switching (the sign alternates), constant, gaussian, or physical: what follows from "
+        "wrong mass, forces, gradient and wind, each uniform within +- its value and constant in a run, cut to "
+        "+-w_bar")]
+    w_bar: Annotated[PositiveFloat, key("bound", "m/s^2")]
+    period: Annotated[Range, key("least and greatest period of the sinusoid", "s")]
+    piece: Annotated[Range, key("least and greatest length of a piece of `switching`", "s")]
+    amplitude: Annotated[Range, key("least and greatest amplitude of a piece over w_bar", "1")]
+    mass: Annotated[float, Field(ge=0, lt=1), key("error of the mass, a share (physical)", "1")]
+    force: Annotated[float, Field(ge=0, lt=1), key("error of traction and braking force, a share (physical)", "1")]
+    gradient: Annotated[NonNegativeFloat, key("error of the gradient (physical)", "m/m")]
+    wind: Annotated[NonNegativeFloat, key("wind along the line (physical)", "m/s")]
 
     @model_validator(mode="after")
     def _consistent(self) -> Disturbance:
@@ -94,15 +94,14 @@ def _switch(sign, length, height, period, out):  # pyright: ignore
 
 
 class Sensors(Strict):
-    """Position and speed sensors with |v_m| <= v_bar [m, m/s], every step.
+    """Position and speed sensors with |v_m| <= v_bar, every step."""
 
-    noise: uniform; biased, v_bar (share sin + (1 - share) U(-1, 1)) with a sine of `period` s drawn per run and
-    sensor; gaussian, standard deviation v_bar / 3."""
-
-    noise: Literal["uniform", "biased", "gaussian"] = "uniform"
-    v_bar: Range
-    share: Annotated[float, Field(ge=0, le=1)]
-    period: Range
+    noise: Annotated[Literal["uniform", "biased", "gaussian"], key(
+        "uniform; biased, v_bar (share sin + (1 - share) U(-1, 1)), a sine per run and sensor; gaussian, standard "
+        "deviation v_bar / 3")] = "uniform"
+    v_bar: Annotated[Range, key("bounds of position and speed", "[m, m/s]")]
+    share: Annotated[float, Field(ge=0, le=1), key("of the sine in `biased`", "1")]
+    period: Annotated[Range, key("least and greatest period of the sine", "s")]
 
     @property
     def sd(self) -> Array:

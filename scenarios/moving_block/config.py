@@ -13,72 +13,72 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 
 from ..channels import Channel, Delay, Ideal, TryOnceDiscard
 from ..faults import Faults
-from ..schema import ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig, Strict
+from ..strict import KIND, key
 from .track import StadiumTrack
 
 
 class Track(Strict):
-    """straight: length of each of the two straights; radius: of the two half circles. stations: evenly spaced stops,
-    the main one at s = 0."""
+    """A ring of two straights and two half circles."""
 
-    straight: PositiveFloat
-    radius: PositiveFloat
-    stations: PositiveInt
+    straight: Annotated[PositiveFloat, key("length of each straight", "m")]
+    radius: Annotated[PositiveFloat, key("of the half circles", "m")]
+    stations: Annotated[PositiveInt, key("evenly spaced stops, the main one at s = 0", "1")]
 
 
 class Trains(Strict):
-    """start: arc length of the noses of leader and follower. stops: the stations (0 = main) each of them calls at.
+    """The leader and the follower."""
 
-    stop_tolerance: a train at rest this close to its stop has arrived."""
-
-    length: PositiveFloat
-    top_speed: PositiveFloat
-    start: Annotated[list[float], Field(min_length=2, max_length=2)]
-    stops: Annotated[list[Annotated[list[NonNegativeInt], Field(min_length=1)]], Field(min_length=2, max_length=2)]
-    dwell: NonNegativeFloat
-    stop_tolerance: PositiveFloat
-    laps: PositiveInt
+    length: Annotated[PositiveFloat, key("of a train", "m")]
+    top_speed: Annotated[PositiveFloat, key("of a train", "m/s")]
+    start: Annotated[list[float], Field(min_length=2, max_length=2), key(
+        "arc length of the noses of leader and follower", "m")]
+    stops: Annotated[list[Annotated[list[NonNegativeInt], Field(min_length=1)]], Field(min_length=2, max_length=2), key(
+        "stations (0 = main) that each of them calls at", "1")]
+    dwell: Annotated[NonNegativeFloat, key("time at a stop", "s")]
+    stop_tolerance: Annotated[PositiveFloat, key("a train at rest this close to its stop has arrived", "m")]
+    laps: Annotated[PositiveInt, key("rounds of a run", "1")]
 
 
 class ControlTable(Strict):
-    """law: P (the paper's) or R (restoring). braking: beta_s; braking_limit: hardest deceleration over beta_s.
+    """The synchronization law."""
 
-    reserve: periods of the follower's way that the distance kept is longer than (23) asks for.
-    leader_ratio: k_acc of eqs. (28), (29); the follower's ratio (-1 + sqrt(1 + 4 k_acc)) / 2 must be real."""
-
-    law: Literal["P", "R"]
-    braking: PositiveFloat
-    braking_limit: Annotated[float, Field(ge=1)]
-    leader_ratio: PositiveFloat
-    safe_gap: PositiveFloat
-    margin: NonNegativeFloat
-    reserve: NonNegativeFloat = 2.0
+    law: Annotated[Literal["P", "R"], key("P (the paper's) or R (restoring)")]
+    braking: Annotated[PositiveFloat, key("beta_s, service deceleration", "m/s^2")]
+    braking_limit: Annotated[float, Field(ge=1), key("hardest deceleration over beta_s", "1")]
+    leader_ratio: Annotated[PositiveFloat, key(
+        "k_acc of eqs. (28), (29); the follower's ratio (-1 + sqrt(1 + 4 k_acc)) / 2 must be real", "1")]
+    safe_gap: Annotated[PositiveFloat, key("least gap admitted", "m")]
+    margin: Annotated[NonNegativeFloat, key("added to it where the law acts", "m")]
+    reserve: Annotated[NonNegativeFloat, key(
+        "periods of the follower's way by which the distance kept is longer than (23) asks for", "1")] = 2.0
 
 
 class MovingBlockSignalling(Strict):
     """The follower keeps its distance from the leader's tail by the synchronization law."""
 
-    kind: Literal["moving"]
+    kind: Annotated[Literal["moving"], KIND]
 
 
 class FixedBlockSignalling(Strict):
-    """Blocks from station to station, boundaries `overlap` beyond the stops; authority ends at the block that holds the
-    leader's tail, as it was `release_delay` ago. Both trains keep to line_speed."""
+    """Blocks from station to station; authority ends at the block that holds the leader's tail, as it was a while
+    ago."""
 
-    kind: Literal["fixed"]
-    line_speed: PositiveFloat
-    release_delay: NonNegativeFloat
-    overlap: NonNegativeFloat
+    kind: Annotated[Literal["fixed"], KIND]
+    line_speed: Annotated[PositiveFloat, key("that both trains keep to", "m/s")]
+    release_delay: Annotated[NonNegativeFloat, key("how old the leader's place is", "s")]
+    overlap: Annotated[NonNegativeFloat, key("how far boundaries lie beyond the stops", "m")]
 
 
 class Plant(Strict):
     """The ring with its two trains, how they are driven and how they are signalled."""
 
-    kind: Literal["moving-block"]
-    track: Track
-    trains: Trains
-    control: ControlTable
-    signalling: Annotated[MovingBlockSignalling | FixedBlockSignalling, Field(discriminator="kind")]
+    kind: Annotated[Literal["moving-block"], KIND]
+    track: Annotated[Track, key("the ring")]
+    trains: Annotated[Trains, key("the two trains")]
+    control: Annotated[ControlTable, key("how they are driven")]
+    signalling: Annotated[MovingBlockSignalling | FixedBlockSignalling, Field(discriminator="kind"), key(
+        "how they are kept apart")]
 
     @model_validator(mode="after")
     def _consistent(self) -> Plant:
@@ -98,51 +98,48 @@ class Plant(Strict):
 
 
 class Encoder(Strict):
-    """Measured distance = ds (1 + b + w), counted in whole pulses. b: per train and run; w: per step, its standard
-    deviation given for noise_period (white in time). Measured speed = v (1 + b + w)."""
+    """Measured distance = ds (1 + b + w), counted in whole pulses; measured speed = v (1 + b + w)."""
 
-    bias_mean: float
-    bias_sd: NonNegativeFloat
-    noise_sd: NonNegativeFloat
-    noise_period: PositiveFloat
-    pulse: PositiveFloat
+    bias_mean: Annotated[float, key("mean of b", "1")]
+    bias_sd: Annotated[NonNegativeFloat, key("standard deviation of b, drawn per train and run", "1")]
+    noise_sd: Annotated[NonNegativeFloat, key("standard deviation of w over the noise period", "1")]
+    noise_period: Annotated[PositiveFloat, key("for which it is given (w is white in time)", "s")]
+    pulse: Annotated[PositiveFloat, key("way of a pulse", "m")]
 
 
 class Tags(Strict):
-    """count: evenly spaced, half a spacing off the main stop. sd: of the place where a nose is read. missed: share of
-    passes without a reading."""
+    """Tags evenly along the ring, half a spacing off the main stop."""
 
-    count: PositiveInt
-    sd: NonNegativeFloat
-    missed: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    count: Annotated[PositiveInt, key("number of tags", "1")]
+    sd: Annotated[NonNegativeFloat, key("standard deviation of the place where a nose is read", "m")]
+    missed: Annotated[float, Field(ge=0, lt=1), key("share of passes without a reading", "1")] = 0.0
 
 
 class Sensors(Strict):
-    """start_sd: standard deviation of the filter's start along the track."""
+    """Each train's encoder, and the tags."""
 
-    encoder: Encoder
-    tags: Tags
-    start_sd: NonNegativeFloat
+    encoder: Annotated[Encoder, key("distance and speed by pulses")]
+    tags: Annotated[Tags, key("places that are read on the way")]
+    start_sd: Annotated[NonNegativeFloat, key("standard deviation of the filter's start along the track", "m")]
 
 
 class Knowledge(Strict):
-    """What the estimators are told: process variance per metre travelled (m^2/m), variance of a tag's coordinates
-    (m^2), of the start (m^2)."""
+    """What the estimators are told."""
 
-    process_variance: PositiveFloat
-    tag_variance: PositiveFloat
-    start_variance: PositiveFloat
+    process_variance: Annotated[PositiveFloat, key("process variance per metre travelled", "m^2/m")]
+    tag_variance: Annotated[PositiveFloat, key("variance of a tag's coordinates", "m^2")]
+    start_variance: Annotated[PositiveFloat, key("variance of the start", "m^2")]
 
 
 class MovingBlockConfig(ScenarioConfig):
     """The moving-block scenario, resolved for one variant. channel: what comes through of the tags' readings; its
     measurement elements are x, y of the leader, then of the follower."""
 
-    plant: Plant
-    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
-    channel: Channel = Ideal()
-    faults: Faults = ()
-    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
+    plant: Annotated[Plant, TABLES["plant"]]
+    sensors: Annotated[Sensors, TABLES["sensors"]]  # pyright: ignore[reportGeneralTypeIssues]
+    channel: Annotated[Channel, TABLES["channel"]] = Ideal()
+    faults: Annotated[Faults, TABLES["faults"]] = ()
+    knowledge: Annotated[Knowledge, TABLES["knowledge"]]  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
     def _consistent(self) -> MovingBlockConfig:

@@ -13,8 +13,9 @@ from ..channels import Channel, Ideal
 from ..railway.adhesion import Adhesion, Span, spans
 from ..railway.dynamics import GRAVITY
 from ..railway.line import Line, LineOrFile, TrainOrFile
-from ..schema import ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig, Strict
 from ..sensors import Accelerometer, Balises, Gnss, Radar, Wheel
+from ..strict import KIND, key
 from .told import Knowledge
 
 Range = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
@@ -23,19 +24,18 @@ Sensor = Literal["wheel-a", "wheel-b", "balise", "gnss", "radar"]
 
 
 class Driver(Strict):
-    """Follows min(c limit, sqrt(2 b distance to the stop)), and lower limits ahead alike: c within `courage`, b m/s^2
-    within `braking`, drawn per run. gain 1/s on the speed error; asked m/s^2: least and greatest acceleration asked of
-    the train, which follows with `lag` s. near m: a stop is reached by standing within this of it. dwell s: drawn per
-    stop; first s: before the first departure."""
+    """Follows min(c limit, sqrt(2 b distance to the stop)), and lower limits ahead alike."""
 
-    courage: Range
-    braking: Range
-    gain: PositiveFloat
-    asked: Annotated[list[float], Field(min_length=2, max_length=2)]
-    lag: PositiveFloat
-    near: PositiveFloat
-    dwell: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
-    first: NonNegativeFloat
+    courage: Annotated[Range, key("least and greatest c, drawn per run", "1")]
+    braking: Annotated[Range, key("least and greatest b, drawn per run", "m/s^2")]
+    gain: Annotated[PositiveFloat, key("on the speed error", "1/s")]
+    asked: Annotated[list[float], Field(min_length=2, max_length=2), key(
+        "least and greatest acceleration asked of the train", "m/s^2")]
+    lag: Annotated[PositiveFloat, key("with which the train follows", "s")]
+    near: Annotated[PositiveFloat, key("a stop is reached by standing within this of it", "m")]
+    dwell: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2), key(
+        "least and greatest stand, drawn per stop", "s")]
+    first: Annotated[NonNegativeFloat, key("stand before the first departure", "s")]
 
     @field_validator("courage", "braking", "dwell")
     @classmethod
@@ -54,15 +54,13 @@ class Driver(Strict):
 
 
 class Places(Strict):
-    """Where balises lie: `positions` m in order, or one every so many metres with one `platform` m before each stop.
+    """Where balises lie: in places given, or evenly with one before each stop."""
 
-    platforms: those of the positions that are surveyed as platform balises."""
-
-    positions: list[float] = []
-    platforms: list[float] = []
-    every: PositiveFloat | None = None
-    platform: PositiveFloat = 15.0
-    begin: PositiveFloat = 10.0
+    positions: Annotated[list[float], key("places, in order", "m")] = []
+    platforms: Annotated[list[float], key("those of them that are surveyed as platform balises", "m")] = []
+    every: Annotated[PositiveFloat | None, key("one every so many metres, in place of positions", "m")] = None
+    platform: Annotated[PositiveFloat, key("one so far before each stop", "m")] = 15.0
+    begin: Annotated[PositiveFloat, key("the first one", "m")] = 10.0
 
     @model_validator(mode="after")
     def _consistent(self) -> Places:
@@ -86,25 +84,25 @@ class Places(Strict):
 
 
 class Elsewhere(Strict):
-    """What stands for balises, tunnels and low stretches where the line is a file of the user's: they cannot be those
-    of the built-in one. balises: one every so many metres and one at each platform."""
+    """What stands for balises, tunnels and low stretches where the line is a file of the user's."""
 
-    balises: PositiveFloat
-    tunnels: list[Span] = []
-    low: list[Span] | Literal["stops"] = "stops"
+    balises: Annotated[PositiveFloat, key("one every so many metres, and one at each platform", "m")]
+    tunnels: Annotated[list[Span], key("tunnels: [[from, to], ..]", "m")] = []
+    low: Annotated[list[Span] | Literal["stops"], key(
+        "stretches of low friction: [[from, to], ..], or stops", "m")] = "stops"
 
 
 class Plant(Strict):
-    """line, train: tables, or paths of TTOBench files. tunnels [[from m, to m], ..]."""
+    """A train with wheels that slip on a line with tunnels and balises."""
 
-    kind: Literal["odometry"]
-    line: LineOrFile
-    train: TrainOrFile
-    tunnels: list[Span] = []
-    balises: Places
-    adhesion: Adhesion
-    driver: Driver
-    elsewhere: Elsewhere
+    kind: Annotated[Literal["odometry"], KIND]
+    line: Annotated[LineOrFile, key("the line: a table, or the path of a TTOBench file")]
+    train: Annotated[TrainOrFile, key("the train: a table, or the path of a TTOBench file")]
+    tunnels: Annotated[list[Span], key("tunnels: [[from, to], ..]", "m")] = []
+    balises: Annotated[Places, key("where balises lie")]
+    adhesion: Annotated[Adhesion, key("friction of the rail and what slip does")]
+    driver: Annotated[Driver, key("how the train is driven")]
+    elsewhere: Annotated[Elsewhere, key("what stands for places of the built-in line on a line of the user's")]
 
     @model_validator(mode="before")
     @classmethod
@@ -140,16 +138,15 @@ class Plant(Strict):
 
 
 class Sensors(Strict):
-    """use: what estimators get to measure with; gradient: standard deviation of the map's gradient per section (m/m).
-    The wheels' counts, the accelerometer's reading and what the train is asked for are inputs told in any case."""
+    """The wheels' counts, the accelerometer's reading and what the train is asked for are inputs told in any case."""
 
-    use: Annotated[list[Sensor], Field(min_length=1)]
-    gradient: NonNegativeFloat
-    wheel: Wheel
-    accelerometer: Accelerometer
-    balise: Balises
-    gnss: Gnss
-    radar: Radar
+    use: Annotated[list[Sensor], Field(min_length=1), key("what estimators get to measure with")]
+    gradient: Annotated[NonNegativeFloat, key("standard deviation of the map's gradient per section", "m/m")]
+    wheel: Annotated[Wheel, key("each axle's counter")]
+    accelerometer: Annotated[Accelerometer, key("along the train")]
+    balise: Annotated[Balises, key("places read on the way")]
+    gnss: Annotated[Gnss, key("satellite receiver")]
+    radar: Annotated[Radar, key("Doppler radar")]
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -160,10 +157,10 @@ class Sensors(Strict):
 class OdometryConfig(ScenarioConfig):
     """The odometry scenario, resolved for one variant."""
 
-    plant: Plant
-    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
-    channel: Channel = Ideal()
-    knowledge: Knowledge  # pyright: ignore[reportGeneralTypeIssues]
+    plant: Annotated[Plant, TABLES["plant"]]
+    sensors: Annotated[Sensors, TABLES["sensors"]]  # pyright: ignore[reportGeneralTypeIssues]
+    channel: Annotated[Channel, TABLES["channel"]] = Ideal()
+    knowledge: Annotated[Knowledge, TABLES["knowledge"]]  # pyright: ignore[reportGeneralTypeIssues]
 
     @model_validator(mode="after")
     def _fits(self) -> OdometryConfig:

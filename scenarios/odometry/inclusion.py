@@ -6,6 +6,7 @@ it from above until the trailer axle rolls freely again. Bounds of Gaussian erro
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
@@ -16,6 +17,7 @@ from ..model import Inclusion
 from ..railway.dynamics import Slope, climbs
 from ..railway.odometer import INPUTS
 from ..schema import Strict
+from ..strict import key
 
 STANDING, FREE, STILL_MEAN, STILL_COUNT = range(len(INPUTS), len(INPUTS) + 4)
 """Inputs behind those of the odometer: whether the train stands; seconds since the brakes last pulled more than
@@ -24,18 +26,16 @@ moves)."""
 
 
 class Limits(Strict):
-    """bias m/s^2: of the accelerometer, before the first stand. noise m/s^2: standard deviation of its readings.
-    gradient m/s^2: error of the map's. wheel: of a wheel's reading that does not slide, as a share. pulse m: of the
-    counters. map m: of a balise's place, its reading included. braking m/s^2, free s: a trailer axle rolls freely so
-    long after the last braking over that."""
+    """Bounds of all errors."""
 
-    bias: PositiveFloat
-    noise: NonNegativeFloat
-    gradient: NonNegativeFloat
-    wheel: NonNegativeFloat
-    map: PositiveFloat
-    braking: PositiveFloat
-    free: NonNegativeFloat
+    bias: Annotated[PositiveFloat, key("of the accelerometer, before the first stand", "m/s^2")]
+    noise: Annotated[NonNegativeFloat, key("standard deviation of its readings", "m/s^2")]
+    gradient: Annotated[NonNegativeFloat, key("error of the map's", "m/s^2")]
+    wheel: Annotated[NonNegativeFloat, key("of a wheel's reading that does not slide, as a share", "1")]
+    map: Annotated[PositiveFloat, key("of a balise's place, its reading included", "m")]
+    braking: Annotated[PositiveFloat, key(
+        "a trailer axle rolls freely some time after the last braking over this", "m/s^2")]
+    free: Annotated[NonNegativeFloat, key("that time", "s")]
 
 
 @dataclass(frozen=True)

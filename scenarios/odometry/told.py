@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from ..railway.odometer import OdometerKnowledge
+from ..strict import key
 from .inclusion import Limits
 
 
 class Knowledge(OdometerKnowledge):
-    """limits: bounds, for set-membership; the rest see `OdometerKnowledge`."""
+    """What the estimators of `odometry` are told."""
 
-    motion: Literal["accelerometer", "wheel-a", "wheel-b", "minmax"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    limits: Limits
+    motion: Annotated[Literal["accelerometer", "wheel-a", "wheel-b", "minmax"], key(
+        "what the prediction goes by: the accelerometer, or dead reckoning by a wheel's count: wheel-a, wheel-b, "
+        "or minmax: braking the faster, in traction the slower, else their mean")]  # pyright: ignore[reportIncompatibleVariableOverride]
+    limits: Annotated[Limits, key("bounds, for set-membership")]

@@ -15,6 +15,7 @@ from ..arrays import Array
 from ..machine_code import njit
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 from .dynamics import GRAVITY
 
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -25,37 +26,35 @@ LOW_BEFORE, LOW_AFTER = (-410.0, -170.0), (30.0, 220.0)
 
 
 class Adhesion(Strict):
-    """Friction of the rail and what slip does.
+    """Friction of the rail and what slip does."""
 
-    open, tunnel: friction in the open air and in tunnels. low: stretches [[from m, to m], ..] of low friction, or
-    `stops`: alternately before and after the line's stops. There friction and the slide's strength (slip speed as a
-    share of the speed, per axle) are drawn per run from [least, most] for each cell of `cell` m. cleaned: the second
-    car's friction over the first's. release: an axle slides until the force asked falls to this share of what the rail
-    bears, and transmits `sliding` of it meanwhile. traction, braking: slip speed of a slide over strength x speed,
-    least_traction, least_braking m/s: at the least; it swings by `swing` with the period `swing_period` s from a phase
-    in rad, and is reached with `slide_time` s. micro: slip as a share of the speed at full use of the friction, on
-    rails of friction 0.30 and more and on others, reached with `micro_time` s."""
-
-    curve: Literal["first-order", "polach"] = "first-order"
-    open: Friction
-    tunnel: Friction
-    low: list[Span] | Literal["stops"] = []
-    cell: PositiveFloat = 40.0
-    friction: Range
-    strength: Range
-    cleaned: PositiveFloat = 1.2
-    release: Friction = 0.9
-    sliding: Friction = 0.9
-    traction: PositiveFloat = 1.5
-    least_traction: NonNegativeFloat = 1.0
-    braking: PositiveFloat = 1.0
-    least_braking: NonNegativeFloat = 0.3
-    swing: Annotated[float, Field(ge=0, le=1)] = 0.6
-    swing_period: PositiveFloat = 1.6
-    phase: Range = [0.0, 2 * np.pi]
-    slide_time: PositiveFloat = 0.4
-    micro: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)] = [0.006, 0.015]
-    micro_time: PositiveFloat = 0.3
+    curve: Annotated[Literal["first-order", "polach"], key(
+        "how the transmitted force follows from slip")] = "first-order"
+    open: Annotated[Friction, key("friction in the open air", "1")]
+    tunnel: Annotated[Friction, key("friction in tunnels", "1")]
+    low: Annotated[list[Span] | Literal["stops"], key(
+        "stretches of low friction: [[from, to], ..], or stops: before and after the line's stops in turn", "m")] = []
+    cell: Annotated[PositiveFloat, key(
+        "there friction and strength are drawn anew per run for each stretch of this length", "m")] = 40.0
+    friction: Annotated[Range, key("least and greatest friction there", "1")]
+    strength: Annotated[Range, key(
+        "least and greatest strength of a slide there: slip speed as a share of the speed, per axle", "1")]
+    cleaned: Annotated[PositiveFloat, key("the second car's friction over the first's", "1")] = 1.2
+    release: Annotated[Friction, key(
+        "an axle slides until the force asked falls to this share of what the rail bears", "1")] = 0.9
+    sliding: Annotated[Friction, key("share of it that a sliding axle transmits", "1")] = 0.9
+    traction: Annotated[PositiveFloat, key("slip speed of a slide in traction, over strength x speed", "1")] = 1.5
+    least_traction: Annotated[NonNegativeFloat, key("its least", "m/s")] = 1.0
+    braking: Annotated[PositiveFloat, key("slip speed of a slide in braking, over strength x speed", "1")] = 1.0
+    least_braking: Annotated[NonNegativeFloat, key("its least", "m/s")] = 0.3
+    swing: Annotated[float, Field(ge=0, le=1), key("share by which it swings", "1")] = 0.6
+    swing_period: Annotated[PositiveFloat, key("of that", "s")] = 1.6
+    phase: Annotated[Range, key("least and greatest phase of that", "rad")] = [0.0, 2 * np.pi]
+    slide_time: Annotated[PositiveFloat, key("with which a slide is reached", "s")] = 0.4
+    micro: Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2), key(
+        "slip as a share of the speed at full use of the friction, on rails of friction 0.30 and more and on "
+        "others", "1")] = [0.006, 0.015]
+    micro_time: Annotated[PositiveFloat, key("with which that is reached", "s")] = 0.3
 
     @field_validator("friction", "strength", "phase")
     @classmethod

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PositiveFloat, WithJsonSchema, field_validator, model_validator
 
 from ..schema import Strict
+from ..strict import key
 from ..units import ACCELERATIONS, FORCES, KMH, LENGTHS, MASSES, POWERS, SHARES, SLOPES, SPEEDS
 from .dynamics import GRAVITY, Forces, Slope, slope_grid
 
@@ -23,11 +24,11 @@ Powers = Annotated[list[float], Field(min_length=5, max_length=5)]
 
 
 class Line(Strict):
-    """Stops (m, the first is the start); speed_limits [[from m, m/s], ..]; gradients [[from m, rise m/m], ..]."""
+    """A line along its own coordinate."""
 
-    stops: Annotated[list[float], Field(min_length=2)]
-    speed_limits: Annotated[list[Pair], Field(min_length=1)]
-    gradients: Annotated[list[Pair], Field(min_length=1)]
+    stops: Annotated[list[float], Field(min_length=2), key("places of the stops, the first is the start", "m")]
+    speed_limits: Annotated[list[Pair], Field(min_length=1), key("limit from each place on", "[m, m/s]")]
+    gradients: Annotated[list[Pair], Field(min_length=1), key("rise from each place on", "[m, m/m]")]
 
     @field_validator("stops")
     @classmethod
@@ -77,20 +78,19 @@ class Line(Strict):
 
 
 class Train(Strict):
-    """mass kg; rotating: its rotating parts as a share; max_speed m/s; max_traction, max_braking N.
+    """A train by its mass, forces and resistance."""
 
-    traction, braking: the share of the force left at V km/h, min(1, c0/V + c1 + c2 V + c3 V^2 + c4 V^3) with the five
-    coefficients in km/h, as sources print them (constant power is c0 alone). resistance: [r0, r1, r2] N per kN of
-    weight at V km/h."""
-
-    mass: PositiveFloat
-    rotating: Annotated[float, Field(ge=0, le=1)] = 0.0
-    max_speed: PositiveFloat
-    max_traction: PositiveFloat
-    max_braking: PositiveFloat
-    traction: Powers
-    braking: Powers
-    resistance: Annotated[list[float], Field(min_length=3, max_length=3)]
+    mass: Annotated[PositiveFloat, key("mass without the rotating parts' share", "kg")]
+    rotating: Annotated[float, Field(ge=0, le=1), key("mass of its rotating parts as a share", "1")] = 0.0
+    max_speed: Annotated[PositiveFloat, key("greatest speed", "m/s")]
+    max_traction: Annotated[PositiveFloat, key("greatest tractive force", "N")]
+    max_braking: Annotated[PositiveFloat, key("greatest braking force", "N")]
+    traction: Annotated[Powers, key(
+        "share of the force left at V, min(1, c0/V + c1 + c2 V + c3 V^2 + c4 V^3): the five coefficients, as "
+        "sources print them (constant power is c0 alone)", "V in km/h")]
+    braking: Annotated[Powers, key("the same of the braking force", "V in km/h")]
+    resistance: Annotated[list[float], Field(min_length=3, max_length=3), key(
+        "r0 + r1 V + r2 V^2, N per kN of weight", "N/kN, V in km/h")]
 
     @property
     def forces(self) -> Forces:

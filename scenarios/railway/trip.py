@@ -15,26 +15,25 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from ..arrays import Array
 from ..machine_code import njit
 from ..schema import Strict
+from ..strict import key
 from ..units import KMH
 from .dynamics import GRAVITY, climb, effect, level, share
 from .line import Line, Train
 
 
 class Controller(Strict):
-    """Automatic train operation. margin m/s: how far under each limit the reference speed stays.
+    """Automatic train operation."""
 
-    braking m/s^2: service braking, the reference's slope and feed-forward, less for a train that manages less. gain 1/s
-    on the speed error. effort: least and greatest share of the force; slew: its greatest change per second. dwell s at
-    each stop. ended m/s: a run ends at the last stop when the speed falls to it, or `overrun` m behind that stop."""
-
-    margin: NonNegativeFloat
-    braking: PositiveFloat
-    gain: PositiveFloat
-    effort: Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=2, max_length=2)]
-    slew: PositiveFloat
-    dwell: Annotated[float, Field(ge=0, le=3600)] = 30.0
-    ended: PositiveFloat = 0.3
-    overrun: PositiveFloat = 50.0
+    margin: Annotated[NonNegativeFloat, key("how far under each limit the reference speed stays", "m/s")]
+    braking: Annotated[PositiveFloat, key(
+        "service braking, the reference's slope and feed-forward, less for a train that manages less", "m/s^2")]
+    gain: Annotated[PositiveFloat, key("on the speed error", "1/s")]
+    effort: Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=2, max_length=2), key(
+        "least and greatest share of the force", "1")]
+    slew: Annotated[PositiveFloat, key("greatest change of the effort", "1/s")]
+    dwell: Annotated[float, Field(ge=0, le=3600), key("stand at each stop on the way", "s")] = 30.0
+    ended: Annotated[PositiveFloat, key("a run ends at the last stop when the speed falls to it", "m/s")] = 0.3
+    overrun: Annotated[PositiveFloat, key("or so far behind that stop", "m")] = 50.0
 
     @model_validator(mode="after")
     def _both_ways(self) -> Controller:

@@ -13,7 +13,8 @@ from ..arrays import Array
 from ..channels import Channel, Ideal
 from ..faults import Faults
 from ..railway.line import LineOrFile, TrainOrFile
-from ..schema import ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig, Strict
+from ..strict import KIND, key
 from .columns import ROLES
 from .recording import MEASURED, Meaning, Recording, read_recording
 from .times import Duplicates, Order
@@ -25,38 +26,35 @@ Span = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 
 
 class Plant(Strict):
-    """recording: path of a recorded trip, CSV or another of the formats that are read, or a list of several trips'
-    paths, of which `trips` says whether a run draws one or the runs go through them in turn; tuning takes the first
-    `split` of them and shows what it found on the others. map: role -> column with
-    its unit (`t_s`, `t [s]`, `t (s)`); roles: time, position (or latitude and longitude), speed, odometer,
-    acceleration, control (the share of the greatest force asked for from that time on), wheel-a, wheel-b (what each
-    axle's sensor has counted), balise (the place of the one passed, or its name), reference_position, reference_speed,
-    and position_sd, speed_sd, odometer_sd, balise_sd (how good the sensor says its reading is). A minus before a column
-    turns its sign. line, train: tables, or paths of TTOBench files, for the model of the train that `control` drives,
-    and for the gradient that an accelerometer feels. balises: places in m by name, or a file of two columns.
+    """One recorded trip or several, and what their columns mean."""
 
-    missing: numbers or texts that stand for no value. quality: class of a _sd column -> standard deviation in SI, or
-    "missing" for no reading. order: of rows that are not in order of time. duplicates: of rows with the same time.
-    wrap: m after which the odometer begins anew. track: GeoJSON file of the line that latitude and longitude run along;
-    none: the recording's own path. span: [from, to] and without: [[from, to], ..], rows taken and left out, in s after
-    the first row."""
-
-    kind: Literal["recorded"]
-    recording: str | Annotated[list[str], Field(min_length=1)] | None = None
-    trips: Literal["turn", "draw"] = "turn"
-    split: PositiveInt | None = None
-    map: dict[str, str] = {}
-    missing: list[float | str] = []
-    quality: dict[str, PositiveFloat | Literal["missing"]] = {}
-    order: Order = "refuse"
-    duplicates: Duplicates = "refuse"
-    wrap: PositiveFloat | None = None
-    track: str | None = None
-    span: Span | None = None
-    without: list[Span] = []
-    balises: str | dict[str, float] = {}
-    line: LineOrFile | None = None
-    train: TrainOrFile | None = None
+    kind: Annotated[Literal["recorded"], KIND]
+    recording: Annotated[str | Annotated[list[str], Field(min_length=1)] | None, key(
+        "path of a trip (CSV or another of the formats read), or a list of paths")] = None
+    trips: Annotated[Literal["turn", "draw"], key(
+        "of several: whether runs go through them in turn, or each draws one")] = "turn"
+    split: Annotated[PositiveInt | None, key(
+        "tuning takes so many of the first trips and shows what it found on the others", "1")] = None
+    map: Annotated[dict[str, str], key(
+        "role -> column with its unit (t_s, t [s]); roles: time, position (or latitude and longitude), speed, "
+        "odometer, acceleration, control (share of the greatest force asked for from that time on), wheel-a, "
+        "wheel-b (what each axle's sensor has counted), balise (place or name of the one passed), "
+        "reference_position, reference_speed, position_sd, speed_sd, odometer_sd, balise_sd (how good a sensor "
+        "says its reading is). A minus before a column turns its sign")] = {}
+    missing: Annotated[list[float | str], key("numbers or texts that stand for no value", "the column's")] = []
+    quality: Annotated[dict[str, PositiveFloat | Literal["missing"]], key(
+        "class of a _sd column -> standard deviation, or missing for no reading", "SI")] = {}
+    order: Annotated[Order, key("what becomes of rows that are not in order of time")] = "refuse"
+    duplicates: Annotated[Duplicates, key("what becomes of rows with the same time")] = "refuse"
+    wrap: Annotated[PositiveFloat | None, key("after which the odometer begins anew", "m")] = None
+    track: Annotated[str | None, key(
+        "GeoJSON file of the line that latitude and longitude run along; none: the recording's own path")] = None
+    span: Annotated[Span | None, key("[from, to] after the first row: rows taken", "s")] = None
+    without: Annotated[list[Span], key("[[from, to], ..] after the first row: rows left out", "s")] = []
+    balises: Annotated[str | dict[str, float], key("places by name, or a file of two columns", "m")] = {}
+    line: Annotated[LineOrFile | None, key(
+        "line of the train that `control` drives, and its gradient: a table, or a TTOBench file")] = None
+    train: Annotated[TrainOrFile | None, key("train that `control` drives: a table, or a TTOBench file")] = None
 
     @field_validator("map")
     @classmethod
@@ -101,14 +99,14 @@ class Plant(Strict):
 
 
 class Outage(Strict):
-    """No readings of `sensors`: during `windows` [[from, to], ..] (s after the recording's first row), or for
-    `duration` seconds from a start that is drawn per run (`random`) or goes over all samples where it fits
-    (`sweep`: as many runs have each of them once, fewer are spread evenly)."""
+    """No readings of some sensors for a while."""
 
-    place: Literal["none", "windows", "random", "sweep"] = "none"
-    sensors: list[Name] = Field(default=["position"], min_length=1)
-    duration: PositiveFloat = 30.0
-    windows: list[Span] = Field(default=[])
+    place: Annotated[Literal["none", "windows", "random", "sweep"], key(
+        "none; windows, as given; random: from a start drawn per run; sweep: from each sample where it fits, in "
+        "turn")] = "none"
+    sensors: Annotated[list[Name], key("those that are silent")] = Field(default=["position"], min_length=1)
+    duration: Annotated[PositiveFloat, key("of a random or swept one", "s")] = 30.0
+    windows: Annotated[list[Span], key("[[from, to], ..] after the first row", "s")] = Field(default=[])
 
     @model_validator(mode="after")
     def _consistent(self) -> Outage:
@@ -124,27 +122,28 @@ class Outage(Strict):
 
 
 class Sensors(Strict):
-    """use: the sensors estimators get, those the recording has. noise: standard deviations added to the readings in m,
-    m/s, m; none where nothing is said. period s: of a sensor's readings only the first in each such time is heard.
-    odometer_step m: it counts in such steps, so that its reading is half of one late on average; where left
-    out, taken from the readings."""
+    """What of a recording estimators hear."""
 
-    use: Annotated[list[Name], Field(min_length=1)]
-    noise: dict[Read, NonNegativeFloat] = {}
-    period: dict[Read, NonNegativeFloat] = {}
-    odometer_step: NonNegativeFloat | None = None
-    outage: Outage = Outage()
+    use: Annotated[list[Name], Field(min_length=1), key("sensors that estimators get, those that the recording has")]
+    noise: Annotated[dict[Read, NonNegativeFloat], key(
+        "standard deviations of noise added to the readings, by sensor", "m, m/s, m")] = {}
+    period: Annotated[dict[Read, NonNegativeFloat], key(
+        "by sensor: only the first reading in each such time is heard", "s")] = {}
+    odometer_step: Annotated[NonNegativeFloat | None, key(
+        "it counts in such steps, so that its reading is half of one late on average; none: taken from the "
+        "readings", "m")] = None
+    outage: Annotated[Outage, key("when some of them are silent")] = Outage()
 
 
 class RecordedConfig(ScenarioConfig):
     """The recorded scenario, resolved for one variant."""
 
-    plant: Plant
-    sensors: Sensors  # pyright: ignore[reportGeneralTypeIssues]
-    channel: Channel = Ideal()
-    faults: Faults = ()
+    plant: Annotated[Plant, TABLES["plant"]]
+    sensors: Annotated[Sensors, TABLES["sensors"]]  # pyright: ignore[reportGeneralTypeIssues]
+    channel: Annotated[Channel, TABLES["channel"]] = Ideal()
+    faults: Annotated[Faults, TABLES["faults"]] = ()
     knowledge: Annotated[Knowledge | WheelKnowledge, Field(  # pyright: ignore[reportGeneralTypeIssues]
-        discriminator="motion")]
+        discriminator="motion"), TABLES["knowledge"]]
 
     @model_validator(mode="after")
     def _fits_the_recording(self) -> RecordedConfig:

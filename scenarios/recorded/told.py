@@ -21,6 +21,7 @@ from ..railway import dynamics as metro_plant
 from ..railway.dynamics import Forces, Slope
 from ..railway.odometer import OdometerKnowledge
 from ..schema import Strict
+from ..strict import key
 from .recording import Recording
 from .wheels import WHEELS
 
@@ -29,40 +30,36 @@ LAST = {"jerk": "acceleration", "accelerometer": "bias"}
 
 
 class Initial(Strict):
-    """Standard deviations of the start: position m, speed m/s, shortfall m, excess, acceleration m/s^2, the
-    accelerometer's bias m/s^2."""
+    """Standard deviations of the start."""
 
-    position: PositiveFloat
-    speed: PositiveFloat
-    shortfall: PositiveFloat
-    excess: PositiveFloat
-    acceleration: PositiveFloat
-    bias: PositiveFloat = 0.1
+    position: Annotated[PositiveFloat, key("of the position", "m")]
+    speed: Annotated[PositiveFloat, key("of the speed", "m/s")]
+    shortfall: Annotated[PositiveFloat, key("of the odometer's shortfall", "m")]
+    excess: Annotated[PositiveFloat, key("of its excess", "1")]
+    acceleration: Annotated[PositiveFloat, key("of the acceleration", "m/s^2")]
+    bias: Annotated[PositiveFloat, key("of the accelerometer's bias", "m/s^2")] = 0.1
 
 
 class Knowledge(Strict):
-    """motion: white `acceleration` or `jerk` of spectral density `density` (m^2/s^3 or m^2/s^5); `train`: what the
-    recorded control asks of the train on its line, and white acceleration; `accelerometer`: its reading less a bias
-    that walks by bias_density m^2/s^5, and white noise of it; or `odometer`: the distance and speed told as input,
-    nothing else (dead reckoning).
+    """What the estimators of a recorded trip are told; bounds are three times the sensors' standard deviations."""
 
-    shortfall: `told`, grown by the odometer's own count (linear in the state), or `modelled`, by the state's speed
-    (nonlinear). shortfall_density m^2/s, excess_density 1/s: random walks. w_bar m/s^2: bound of the acceleration.
-    position, speed, odometer, balise: standard deviations of the sensors in m, m/s, m, m; bounds are three times as
-    wide."""
-
-    motion: Literal["acceleration", "jerk", "train", "accelerometer", "odometer"]
-    shortfall: Literal["told", "modelled"]
-    density: PositiveFloat
-    shortfall_density: Annotated[float, Field(ge=0)]
-    excess_density: Annotated[float, Field(ge=0)]
-    bias_density: Annotated[float, Field(ge=0)] = 1e-6
-    w_bar: PositiveFloat
-    position: PositiveFloat
-    speed: PositiveFloat
-    odometer: PositiveFloat
-    balise: PositiveFloat = 1.0
-    initial: Initial
+    motion: Annotated[Literal["acceleration", "jerk", "train", "accelerometer", "odometer"], key(
+        "white acceleration or jerk; train: what the recorded control asks of the train on its line, and white "
+        "acceleration; accelerometer: its reading less a bias that walks, and white noise; odometer: the distance "
+        "and speed told as input, nothing else (dead reckoning)")]
+    shortfall: Annotated[Literal["told", "modelled"], key(
+        "of the odometer: told, grown by its own count (linear in the state), or modelled, by the state's speed "
+        "(nonlinear)")]
+    density: Annotated[PositiveFloat, key("spectral density of the white acceleration or jerk", "m^2/s^3 or m^2/s^5")]
+    shortfall_density: Annotated[float, Field(ge=0), key("random walk of the shortfall", "m^2/s")]
+    excess_density: Annotated[float, Field(ge=0), key("random walk of the excess", "1/s")]
+    bias_density: Annotated[float, Field(ge=0), key("random walk of the accelerometer's bias", "m^2/s^5")] = 1e-6
+    w_bar: Annotated[PositiveFloat, key("bound of the acceleration", "m/s^2")]
+    position: Annotated[PositiveFloat, key("standard deviation of the position sensor", "m")]
+    speed: Annotated[PositiveFloat, key("of the speed sensor", "m/s")]
+    odometer: Annotated[PositiveFloat, key("of the odometer", "m")]
+    balise: Annotated[PositiveFloat, key("of a balise's place", "m")] = 1.0
+    initial: Annotated[Initial, key("standard deviations of the start")]
 
     def worth(self, sensor: str) -> float:
         """A sensor's standard deviation. Raises ValueError for those of `WheelKnowledge`."""
@@ -73,17 +70,15 @@ class Knowledge(Strict):
 
 
 class WheelKnowledge(OdometerKnowledge):
-    """The model of `odometry`: motion `wheels` (there `accelerometer`), or dead reckoning by a wheel's count.
+    """The model of `odometry` on a recorded trip."""
 
-    position, speed, balise: standard deviations in m, m/s, m where sensors tell none; wheel m: of a count, beside the
-    step that it counts in; creep: micro-slip as a share of the distance."""
-
-    motion: Literal["wheels", "wheel-a", "wheel-b", "minmax"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    position: PositiveFloat
-    speed: PositiveFloat
-    balise: PositiveFloat
-    wheel: PositiveFloat
-    creep: NonNegativeFloat
+    motion: Annotated[Literal["wheels", "wheel-a", "wheel-b", "minmax"], key(
+        "wheels (accelerometer as in `odometry`), or dead reckoning by a wheel's count: wheel-a, wheel-b, minmax")]  # pyright: ignore[reportIncompatibleVariableOverride]
+    position: Annotated[PositiveFloat, key("standard deviation of the position sensor, where it tells none", "m")]
+    speed: Annotated[PositiveFloat, key("of the speed sensor, where it tells none", "m/s")]
+    balise: Annotated[PositiveFloat, key("of a balise's place, where none is told", "m")]
+    wheel: Annotated[PositiveFloat, key("of a count, beside the step that it counts in", "m")]
+    creep: Annotated[NonNegativeFloat, key("micro-slip as a share of the distance", "1")]
 
     def worth(self, sensor: str) -> float:
         """A sensor's standard deviation. Raises ValueError for those of `Knowledge`."""

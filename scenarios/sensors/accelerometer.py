@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from pydantic import NonNegativeFloat
 
 from ..arrays import Array
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 
 REFERENCE = 0.1
 
 
 class Accelerometer(Strict):
-    """bias, noise m/s^2: standard deviations, per run and per reading over 0.1 s (white: over longer steps the mean is
-    better). drift: of the bias' random walk, m/s^2 per sqrt(s)."""
+    """An accelerometer along the train."""
 
-    bias: NonNegativeFloat
-    noise: NonNegativeFloat
-    drift: NonNegativeFloat = 0.0
+    bias: Annotated[NonNegativeFloat, key("standard deviation per run", "m/s^2")]
+    noise: Annotated[NonNegativeFloat, key(
+        "standard deviation per reading over 0.1 s (white: over longer steps the mean is better)", "m/s^2")]
+    drift: Annotated[NonNegativeFloat, key("of the bias' random walk", "m/s^2 per sqrt(s)")] = 0.0
 
     def read(self, acceleration: Array, climb: Array, period: float, random: RunRandom) -> tuple[Array, Array]:
         """Readings (K, S) m/s^2, the mean acceleration of each step and the gradient's pull with errors, and the bias

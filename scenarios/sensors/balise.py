@@ -11,6 +11,7 @@ from pydantic import Field, NonNegativeFloat
 from ..arrays import Array, Mask
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 
 Pair = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 
@@ -27,16 +28,14 @@ class Passages:
 
 
 class Balises(Strict):
-    """location m: standard deviation of the map and the limit at which its error is cut; platform m: the same of
-    balises at a platform's edge. reader m: a balise is read within +- this of its place, up to 40 km/h and at 500 km/h,
-    straight on between. missed: chance that one is not read; the first always is. detection m: standard deviation told
-    of where it is read."""
+    """Balises and their reader."""
 
-    location: Pair
-    platform: Pair
-    reader: Pair
-    missed: Annotated[float, Field(ge=0, le=1)]
-    detection: NonNegativeFloat
+    location: Annotated[Pair, key("standard deviation of the map, and the limit at which its error is cut", "m")]
+    platform: Annotated[Pair, key("the same of balises at a platform's edge", "m")]
+    reader: Annotated[Pair, key(
+        "a balise is read within +- this of its place: up to 40 km/h, and at 500 km/h, straight on between", "m")]
+    missed: Annotated[float, Field(ge=0, le=1), key("chance that one is not read; the first always is", "1")]
+    detection: Annotated[NonNegativeFloat, key("standard deviation told of where it is read", "m")]
 
     def draw(self, places: list[float], platforms: list[float], random: RunRandom) -> Passages:
         """The map and the losses of S runs."""

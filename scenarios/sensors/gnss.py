@@ -10,24 +10,23 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from ..arrays import Array, Mask
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class Gnss(Strict):
-    """every s between fixes. slow m, memory s: Gauss-Markov error; white m; told m: the standard deviation that the
-    receiver tells. jump: chance per fix that a jump of standard deviation `size` m begins, which lasts within
-    [least, most] s. outage m: none from this far before a tunnel to that far behind."""
+    """A satellite receiver, silent in tunnels."""
 
-    every: PositiveFloat
-    slow: NonNegativeFloat
-    memory: PositiveFloat
-    white: NonNegativeFloat
-    told: PositiveFloat
-    jump: Annotated[float, Field(ge=0, le=1)]
-    size: NonNegativeFloat
-    lasts: Pair
-    outage: Pair
+    every: Annotated[PositiveFloat, key("between fixes", "s")]
+    slow: Annotated[NonNegativeFloat, key("standard deviation of the Gauss-Markov error", "m")]
+    memory: Annotated[PositiveFloat, key("its time constant", "s")]
+    white: Annotated[NonNegativeFloat, key("standard deviation of the white error", "m")]
+    told: Annotated[PositiveFloat, key("standard deviation that the receiver tells", "m")]
+    jump: Annotated[float, Field(ge=0, le=1), key("chance per fix that a jump begins", "1")]
+    size: Annotated[NonNegativeFloat, key("its standard deviation", "m")]
+    lasts: Annotated[Pair, key("least and greatest length of a jump", "s")]
+    outage: Annotated[Pair, key("no fix from so far before a tunnel to so far behind", "m")]
 
     def read(self, position: Array, tunnels: list[list[float]], period: float,
              random: RunRandom) -> tuple[Array, Mask]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import NonNegativeFloat, PositiveFloat
 
 from ..arrays import Array, Mask
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 
 
 class Radar(Strict):
-    """scale: standard deviation of the run's scale error; noise m/s; least m/s: it is silent under this speed."""
+    """A Doppler radar."""
 
-    scale: NonNegativeFloat
-    noise: PositiveFloat
-    least: NonNegativeFloat
+    scale: Annotated[NonNegativeFloat, key("standard deviation of the run's scale error", "1")]
+    noise: Annotated[PositiveFloat, key("standard deviation of a reading", "m/s")]
+    least: Annotated[NonNegativeFloat, key("it is silent under this speed", "m/s")]
 
     def read(self, speed: Array, random: RunRandom) -> tuple[Array, Mask, Array]:
         """Readings (K, S) m/s, which there are, and the scale error (S,)."""

@@ -10,26 +10,25 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from ..arrays import Array, Mask
 from ..randomness import RunRandom
 from ..schema import Strict
+from ..strict import key
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class Wheel(Strict):
-    """diameter m, as nominal; pulses per turn; diameter_error: the true one is larger by a share uniform within +-
-    this, or (spread = "gaussian") normal with this standard deviation, per axle and run; phase: the counter starts
-    within [least, most] of a pulse.
+    """A wheel's pulse counter."""
 
-    creep: what the sensor tells of micro-slip, a standard deviation as a share of the distance; quiet s, quiet_sd m/s:
-    what it tells after so long a stand without pulses."""
-
-    diameter: PositiveFloat
-    pulses: PositiveInt
-    diameter_error: Annotated[float, Field(ge=0, lt=0.5)]
-    spread: Literal["uniform", "gaussian"] = "uniform"
-    phase: Pair = [0.0, 1.0]
-    creep: NonNegativeFloat = 0.003
-    quiet: PositiveFloat = 1.0
-    quiet_sd: PositiveFloat = 0.02
+    diameter: Annotated[PositiveFloat, key("as nominal", "m")]
+    pulses: Annotated[PositiveInt, key("pulses per turn", "1")]
+    diameter_error: Annotated[float, Field(ge=0, lt=0.5), key(
+        "the true one is larger by a share within +- this, or of this standard deviation, per axle and run", "1")]
+    spread: Annotated[Literal["uniform", "gaussian"], key(
+        "of that share: uniform within +- the error, or gaussian")] = "uniform"
+    phase: Annotated[Pair, key("the counter starts within [least, most] of a pulse", "1")] = [0.0, 1.0]
+    creep: Annotated[NonNegativeFloat, key(
+        "what the sensor tells of micro-slip: a standard deviation as a share of the distance", "1")] = 0.003
+    quiet: Annotated[PositiveFloat, key("stand without pulses after which it tells something else", "s")] = 1.0
+    quiet_sd: Annotated[PositiveFloat, key("what it tells then", "m/s")] = 0.02
 
     @property
     def pulse(self) -> float:

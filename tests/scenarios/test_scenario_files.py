@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from railstate.scenarios.files import load, merge
-from railstate.scenarios.registry import scenario_files
+from railstate.scenarios.keys import keys_of
+from railstate.scenarios.registry import scenario_files, settings
 
 from ..conftest import SCENARIO, Command
 
@@ -209,3 +210,16 @@ def test_a_bad_base_is_told_with_the_file_that_is_wrong(railstate: Command, text
     Path("bad.toml").write_text(SCENARIO.replace("p = 0.8", "p = 1.8"))
     done = railstate("show", "a.toml")
     assert done.code == 2 and done.err.startswith("error: ") and expected in done.err, done.err
+
+
+def test_every_key_says_what_it_is_and_in_which_unit(railstate: Command) -> None:
+    for kind, setting in settings().items():
+        for key in keys_of(setting.Config):
+            assert key.what, f"{kind}: {key.path} ({key.of}) has no description"
+            assert key.unit or not key.numeric, f"{kind}: {key.path} ({key.of}) has no unit"
+    said = " ".join(railstate("show", "ningbo-metro", "--keys").out.split())
+    assert "disturbance.w_bar bound [m/s^2] required" in said and "[faults] of outliers" in said
+    schema = json.loads(railstate("schema").out)
+    time = schema["$defs"]["metro.Time"]["properties"]["period"]
+    assert time["description"] == "sampling period [s]" and time["unit"] == "s"
+    assert "description" in schema["$defs"]["metro"]["properties"]["base"]

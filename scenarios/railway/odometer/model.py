@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
@@ -16,6 +16,7 @@ from ...arrays import Array, Mask
 from ...measurement import Interval, Measurement, told
 from ...model import DesignModel
 from ...schema import Strict
+from ...strict import key
 from ..dynamics import Slope
 from . import motion as compiled
 from .motion import BIAS, TRAVELLED, S, V
@@ -30,39 +31,36 @@ PLACES = ("position", "balise", "gnss")
 
 
 class Initial(Strict):
-    """Standard deviations of the start: position m, speed m/s, accelerometer's bias m/s^2, the scale of each wheel and
-    of the radar."""
+    """Standard deviations of the start."""
 
-    position: PositiveFloat
-    speed: PositiveFloat
-    bias: PositiveFloat
-    scale: PositiveFloat
-    radar: PositiveFloat = 0.005
+    position: Annotated[PositiveFloat, key("of the position", "m")]
+    speed: Annotated[PositiveFloat, key("of the speed", "m/s")]
+    bias: Annotated[PositiveFloat, key("of the accelerometer's bias", "m/s^2")]
+    scale: Annotated[PositiveFloat, key("of the scale of each wheel", "1")]
+    radar: Annotated[PositiveFloat, key("of the scale of the radar", "1")] = 0.005
 
 
 class Slip(Strict):
-    """Each axle's slip as a mode: enter, leave 1/s; sd m/s of a slipping axle's reading."""
+    """Each axle's slip as a mode."""
 
-    enter: PositiveFloat
-    leave: PositiveFloat
-    sd: PositiveFloat
+    enter: Annotated[PositiveFloat, key("rate at which slip begins", "1/s")]
+    leave: Annotated[PositiveFloat, key("rate at which it ends", "1/s")]
+    sd: Annotated[PositiveFloat, key("standard deviation of a slipping axle's reading", "m/s")]
 
 
 class OdometerKnowledge(Strict):
-    """motion: `accelerometer` (or what else a setting calls it), or dead reckoning by a wheel's count: `wheel-a`,
-    `wheel-b`, or `minmax`: braking the faster, in traction the slower, else their mean.
+    """What a model of wheels that slip is told."""
 
-    acceleration m/s^2: standard deviation of the reading's noise over 0.1 s. bias_walk m/s^2, scale_walk: random walks,
-    per sqrt(s). gnss_inflation: factor on the standard deviation that a satellite receiver tells. slip: for filters of
-    modes."""
-
-    motion: str
-    acceleration: PositiveFloat
-    bias_walk: NonNegativeFloat
-    scale_walk: NonNegativeFloat
-    gnss_inflation: PositiveFloat = 1.0
-    slip: Slip
-    initial: Initial
+    motion: Annotated[str, key(
+        "accelerometer (or what else a setting calls it), or dead reckoning by a wheel's count: wheel-a, wheel-b, "
+        "or minmax: braking the faster, in traction the slower, else their mean")]
+    acceleration: Annotated[PositiveFloat, key("standard deviation of the reading's noise over 0.1 s", "m/s^2")]
+    bias_walk: Annotated[NonNegativeFloat, key("random walk of its bias", "m/s^2 per sqrt(s)")]
+    scale_walk: Annotated[NonNegativeFloat, key("random walk of the scales", "1 per sqrt(s)")]
+    gnss_inflation: Annotated[PositiveFloat, key(
+        "factor on the standard deviation that a satellite receiver tells", "1")] = 1.0
+    slip: Annotated[Slip, key("slip as modes, for filters of modes")]
+    initial: Annotated[Initial, key("standard deviations of the start")]
 
     @property
     def counting(self) -> bool:
