@@ -208,6 +208,8 @@ def _strays(variants: Collection[dict[str, Any]], own: Mapping[str, Any], touche
         configs = [setting_for(table["plant"]["kind"], "").Config.model_validate(table) for table in variants]
     except ValidationError:  # of a variant that nobody asked for
         return []
+    if not configs:
+        return []
     return [f"{key}.{path}: names no key of this scenario" for key in said for path in sorted(said[key])
             if path.partition(".")[0] not in touched and not any(_names_a_key(path, config) for config in configs)]
 

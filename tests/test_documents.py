@@ -1,19 +1,20 @@
-"""Every command line of the README and of the folders' READMEs works as printed, one after the other.
+"""Every command line of the README and of the folders' READMEs works as printed, one after the other, and its Python.
 
 Only the number of runs is made small where a line gives none; files that a line takes for granted are written first,
 Python that the text names among them."""
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shlex
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from .fresh import Fresh
-from .scenarios.test_railway import track, train
 from .scenarios.test_recorded import trip
 
 ROOT = Path(__file__).parents[1]
@@ -22,7 +23,7 @@ SET_UP = "python3 -m venv"
 TAKES_RUNS = ("run", "sweep", "compare", "reproduce")
 EXPECTED = {
     "README.md": ("gentle-pull: all rules kept", "80 rows: 80 ok", "alpha-beta: all rules kept",
-                  "speed rmse: ekf is better than alpha-beta"),
+                  "speed rmse: ekf is better than alpha-beta", "worse"),
     "estimators/README.md": ("ekf: all rules kept", "gentle-pull: all rules kept"),
     "benchmarks/README.md": ("40 rows: 40 ok", "52 cells")}
 """What the commands of a document say."""
@@ -38,14 +39,15 @@ def lines_of(text: str) -> list[str]:
 def test_every_command_works_as_printed(document: str, tmp_path: Path) -> None:
     text = (ROOT / document).read_text(encoding="utf-8")
     fresh = Fresh(tmp_path / "environment", tmp_path)
-    for before, block in re.findall(r"([^\n]*)\n\n```python\n(.*?)```", text, re.DOTALL):
-        named = re.search(r"`([a-z_]+\.py)`:$", before)
-        if named:  # others are excerpts
+    scripts = []
+    for before, kind, block in re.findall(r"([^\n]*)\n\n```(python|toml)\n(.*?)```", text, re.DOTALL):
+        named = re.search(r"`([a-z_-]+\.(?:py|toml))`:$", before)
+        if named:
             (tmp_path / named[1]).write_text(block)
+        elif kind == "python" and document == "README.md":  # in the others: excerpts
+            scripts.append(block)
     metro = (ROOT / "scenarios" / "metro" / "ningbo-metro.toml").read_text(encoding="utf-8")
     (tmp_path / "my-metro.toml").write_text(metro.replace('name = "ningbo-metro"', 'name = "my-metro"'))
-    (tmp_path / "track.json").write_text(json.dumps(track()))
-    (tmp_path / "train.json").write_text(json.dumps(train()))
     trip().to_csv(tmp_path / "trip.csv", index=False)
     commands = [part.strip() for line in lines_of(text) for part in line.split("&&")]
     assert commands
@@ -57,5 +59,28 @@ def test_every_command_works_as_printed(document: str, tmp_path: Path) -> None:
         done = fresh.run(*words)
         assert done.returncode == 0 and "Traceback" not in done.stderr, f"{command}\n{done.stdout}{done.stderr}"
         said += done.stdout
+    for script in scripts:
+        done = fresh.run(fresh.python, "-c", script)
+        assert done.returncode == 0, f"{script}\n{done.stdout}{done.stderr}"
+        said += done.stdout
     for words in EXPECTED.get(document, ()):
         assert words in said, f"{words}\n{said}"
+
+
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cell by cell, what a cell ends in shown as a notebook would."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "__main__"}
+    cells = json.loads((ROOT / "benchmarks" / "own_filter.ipynb").read_text(encoding="utf-8"))["cells"]
+    shown = []
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == [] and cell["execution_count"] is None
+            tree = ast.parse("".join(cell["source"]))
+            last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+            exec(compile(tree, "cell", "exec"), names)
+            if isinstance(last, ast.Expr):
+                shown.append(eval(compile(ast.Expression(last.value), "cell", "eval"), names))
+    compared, figures, page = shown[-3:]
+    assert isinstance(compared, pd.DataFrame) and set(compared["verdict"]) <= {"worse", "better", "undecided", "tie"}
+    assert "<svg" in figures._repr_html_() and "pull" in shown[-4]._repr_html_() and page.stat().st_size > 20_000

@@ -1,6 +1,6 @@
 """`railstate new estimator|scenario NAME`: a package that works at once, from the templates beside the command line.
 
-`railstate new recording`: small recordings to try the recorded setting with."""
+`railstate new recording`, `new line`: small recordings, a line and a train to try settings with."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ...estimators.registry import estimators, installed
 from ...scenarios.errors import InputError
 from ...scenarios.registry import scenario_files, settings
 
-app = typer.Typer(no_args_is_help=True, help="Write a package for an estimator or a scenario, or recordings to try.")
+app = typer.Typer(no_args_is_help=True, help="Write a package for an estimator or a scenario, or examples to try.")
 Name = Annotated[str, typer.Argument(help="Small letters, digits and hyphens, such as my-filter.")]
 Under = Annotated[Path, typer.Option("--in", metavar="FOLDER", help="Where the package's folder is made.")]
 
@@ -48,19 +48,32 @@ def scenario(name: Name, folder: Under = Path()) -> None:
 def recording(folder: Under = Path()) -> None:
     """Recordings of the suite's own making: a tram's trip, a receiver's fixes with the line they run along, a train's
     odometry with its balises."""
+    written = _examples("railstate.scenarios.recorded", folder)
+    print(f"{', '.join(map(str, written))}: written; now\n"
+          f"  railstate inspect {folder / 'tram.csv'}\n"
+          f"  railstate inspect {folder / 'fixes.csv'} --track {folder / 'track.geojson'}\n"
+          f"  railstate inspect {folder / 'metro.csv'} --balises {folder / 'balises.csv'}")
+
+
+@app.command()
+def line(folder: Under = Path()) -> None:
+    """A line and a train of the suite's own making, in TTOBench's JSON, to change."""
+    written = _examples("railstate.scenarios.railway", folder)
+    print(f"{', '.join(map(str, written))}: written; now\n"
+          f"  railstate run ningbo-metro/switching --line {folder / 'track.json'} --train {folder / 'train.json'}")
+
+
+def _examples(package: str, folder: Path) -> list[Path]:
+    """Copy a package's examples. Raises InputError where there is no such folder, or one is there already."""
     if not folder.is_dir():
         raise InputError(f"--in {folder}: no such folder")
-    examples = sorted((item for item in (files("railstate.scenarios.recorded") / "examples").iterdir()),
-                      key=lambda item: item.name)
+    examples = sorted((files(package) / "examples").iterdir(), key=lambda item: item.name)
     there = [item.name for item in examples if (folder / item.name).exists()]
     if there:
         raise InputError(f"{folder / there[0]}: exists already; choose another folder (--in FOLDER)")
     for item in examples:
         (folder / item.name).write_bytes(item.read_bytes())
-    print(f"{', '.join(str(folder / item.name) for item in examples)}: written; now\n"
-          f"  railstate inspect {folder / 'tram.csv'}\n"
-          f"  railstate inspect {folder / 'fixes.csv'} --track {folder / 'track.geojson'}\n"
-          f"  railstate inspect {folder / 'metro.csv'} --balises {folder / 'balises.csv'}")
+    return [folder / item.name for item in examples]
 
 
 def _write(kind: str, layout: dict[str, str], name: str, taken: set[str], under: Path) -> Path:

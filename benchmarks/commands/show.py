@@ -65,12 +65,13 @@ def show(
         print(f"note: {note}")
     for key in config.fitted:
         print(f"fitted: {key}")
-    rows = [{"key": key, "value": json.dumps(value),
-             "from": "--set" if any(f"{key}.".startswith(f"{one}.") for one in changes) else
-             "/".join(filter(None, comes_from(key, scenario.layers, variant))) or "default",
-             "origin": _origin(key, config.origin)}
-            for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
-                                                               "estimators"}))]
+    rows = []
+    for key, value in _flat(config.model_dump(exclude={"name", "title", "source", "notes", "origin", "fitted",
+                                                       "estimators"})):
+        changed = any(f"{key}.".startswith(f"{one}.") for one in changes)
+        where = "/".join(filter(None, comes_from(key, scenario.layers, variant))) or "default"
+        rows.append({"key": key, "value": json.dumps(value), "from": "--set" if changed else where,
+                     "origin": "" if changed else _origin(key, config.origin)})
     print_table("", rows)
     print_table("", [
         {"estimator": label, "plug-in": entry.plugin, "parameters": json.dumps(entry.parameters) if entry.parameters

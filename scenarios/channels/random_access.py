@@ -19,8 +19,8 @@ class RandomAccess(OneAtATime):
 
     kind: Annotated[Literal["random-access"], KIND]
     p: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1), key("probability of each node", "1")]
-    nodes: Annotated[list[Node], key(
-        "nodes[i] lists the measurement elements (from 0) of node i", "1")]  # pyright: ignore[reportGeneralTypeIssues]
+    nodes: Annotated[list[Node], key(  # pyright: ignore[reportGeneralTypeIssues]
+        "nodes[i] lists the measurement elements (from 0) of node i", "1")]
 
     @model_validator(mode="after")
     def _consistent(self) -> RandomAccess:

@@ -188,14 +188,26 @@ def _json(path: str) -> dict[str, Any]:
 
 
 def _entry(table: dict[str, Any], key: str, path: str) -> dict[str, Any]:
-    if not isinstance(table.get(key), dict):
-        raise ValueError(f"{path}: \"{key}\" is missing; the file has {', '.join(table) or 'nothing'}")
+    form = _FORMS.get(key, '{"value": 1.0, "unit": ..}')
+    if key not in table:
+        raise ValueError(f"{path}: \"{key}\" is missing; the file has {', '.join(map(json.dumps, table)) or 'nothing'}"
+                         f"; allowed: {form}")
+    if not isinstance(table[key], dict):
+        raise ValueError(f"{path}: \"{key}\" is {reprlib.repr(table[key])}; allowed: {form}")
     return table[key]
+
+
+_FORMS = {
+    "stops": '{"unit": "m", "values": [0, 1300, ..]}',
+    "speed limits": '{"units": {"position": "m", "velocity": "km/h"}, "values": [[0, 80], ..]}',
+    "gradients": '{"units": {"position": "m", "slope": "permil"}, "values": [[0, 2], ..]}'}
+"""How entries of a track are written; those of a train are a value with its unit."""
 
 
 def _unit(unit: Any, allowed: dict[str, float], key: str, path: str) -> float:
     if not isinstance(unit, str) or unit not in allowed:
-        raise ValueError(f"{path}: unit {unit!r} of \"{key}\" is unknown; allowed: {', '.join(allowed)}")
+        what = f"\"{key}\" needs a unit" if unit is None else f"unit {unit!r} of \"{key}\" is unknown"
+        raise ValueError(f"{path}: {what}; allowed: {', '.join(allowed)}")
     return allowed[unit]
 
 
@@ -212,11 +224,11 @@ def _pairs(table: dict[str, Any], key: str, second: str, units: dict[str, float]
     entry = _entry(table, key, path)
     named = entry.get("units")
     if not isinstance(named, dict):
-        raise ValueError(f"{path}: \"{key}\" needs units of position and {second}")
+        raise ValueError(f"{path}: \"{key}\" needs units of position and {second}; allowed: {_FORMS[key]}")
     scales = (_unit(named.get("position"), LENGTHS, key, path), _unit(named.get(second), units, key, path))
     rows = entry.get("values")
     if not isinstance(rows, list) or not rows or any(not isinstance(row, list) or len(row) != 2 for row in rows):
-        raise ValueError(f"{path}: \"{key}\" needs rows [position, {second}]")
+        raise ValueError(f"{path}: \"{key}\" needs rows [position, {second}]; allowed: {_FORMS[key]}")
     return [[scale * v for scale, v in zip(scales, _numbers(row, key, path), strict=True)] for row in rows]
 
 

@@ -72,8 +72,8 @@ class Knowledge(Strict):
 class WheelKnowledge(OdometerKnowledge):
     """The model of `odometry` on a recorded trip."""
 
-    motion: Annotated[Literal["wheels", "wheel-a", "wheel-b", "minmax"], key(
-        "wheels (accelerometer as in `odometry`), or dead reckoning by a wheel's count: wheel-a, wheel-b, minmax")]  # pyright: ignore[reportIncompatibleVariableOverride]
+    motion: Annotated[Literal["wheels", "wheel-a", "wheel-b", "minmax"], key(  # pyright: ignore[reportIncompatibleVariableOverride]
+        "wheels (accelerometer as in `odometry`), or dead reckoning by a wheel's count: wheel-a, wheel-b, minmax")]
     position: Annotated[PositiveFloat, key("standard deviation of the position sensor, where it tells none", "m")]
     speed: Annotated[PositiveFloat, key("of the speed sensor, where it tells none", "m/s")]
     balise: Annotated[PositiveFloat, key("of a balise's place, where none is told", "m")]

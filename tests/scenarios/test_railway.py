@@ -219,7 +219,9 @@ def change(table, *path):
     ("track", ("gradients", "values", [[0.0, 85.0]]), "cannot climb 85.0 per mille from 0 m on"),
     ("track", ("gradients", "values", [[0.0, 400.0]]), "at most 0.2"),
     ("train", ("mass", "value", -1), '"mass" must be more than 0'),
-    ("train", ("mass", None), "\"mass\" is missing"),
+    ("train", ("mass", 180), "\"mass\" is 180; allowed: {\"value\": 1.0, \"unit\": ..}"),
+    ("train", ("mass", {"value": 180}), "\"mass\" needs a unit; allowed: kg, t"),
+    ("track", ("stops", [0, 900]), "\"stops\" is [0, 900]; allowed: {\"unit\": \"m\", \"values\": [0, 1300, ..]}"),
     ("train", ("max traction force", "unit", "lbf"), "unit 'lbf' of \"max traction force\""),
     ("train", ("max reg braking force", "value", -10), "cannot brake"),
 ])
