@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
@@ -11,13 +12,14 @@ from pydantic import BaseModel
 
 from ...scenarios.augmented import Extra
 from ...scenarios.errors import InputError
+from ...scenarios.files import outline
 from ...scenarios.inheritance import comes_from
 from ...scenarios.keys import Key, keys_of
 from ...scenarios.registry import settings
 from ..api.listing import estimator_lines, scenario_lines
 from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
-from ..telling.console import print_table
+from ..telling.console import print_table, wrapped
 from .options import Sets, overrides
 
 BASE = "what it inherits: a built-in scenario, NAME/VARIANT (that variant alone), or the path of a TOML file"
@@ -37,15 +39,17 @@ def list_() -> None:
 def show(
     name: Annotated[str, typer.Argument(help="A scenario, NAME/VARIANT, a TOML file, or an estimator.")],
     set_: Sets = [],  # noqa: B006
+    out: Annotated[str, typer.Option(metavar="DIR", help="A results folder: where an estimator was best, worse, lost "
+                                                         "in it.")] = "",
     keys: Annotated[bool, typer.Option("--keys", help="What each key of such a scenario file says, its unit.")] = False,
 ) -> None:
-    """Show a scenario resolved, or an estimator's parameters."""
+    """Show a scenario resolved, or an estimator's page: equations, needs, claims, parameters, record in a folder."""
     changes = overrides(set_)
     catalogue = Catalogue()
     if name in catalogue.names():
         if changes:
             raise InputError(f"--set {next(iter(changes))}: {name} is an estimator; a scenario's keys can be set")
-        _show_estimator(catalogue[name])
+        _show_estimator(catalogue[name], out)
         return
     try:
         scenario, variant = find_one(name, changes)
@@ -124,15 +128,42 @@ def schema() -> None:
                       "anyOf": kinds, "$defs": definitions}, indent=1))
 
 
-def _show_estimator(found: Described) -> None:
-    print(f"{found.name}: {found.summary}\nsource: {found.source or '-'}\nneeds: "
-          f"{', '.join(found.needs) or 'nothing beyond f and h'}\nclaims: {', '.join(('mean', *found.claims))}")
-    if found.about:
-        print(f"\n{found.about.strip()}\n")
+def _show_estimator(found: Described, folder: str) -> None:
+    """Its page, with its record in a results folder where one is named."""
+    from ..telling.estimators import page
+
+    cells: list[Any] = []
+    if folder:
+        from ..judging.table import verdicts_of
+        from ..store.folder import Store
+        from ..telling.rankings import cells_of
+
+        cells = list(cells_of(verdicts_of(Store(folder)), Store(folder).manifest()))
+    told = page(found.name, asdict(found), cells)
+    print(f"{told.name}: {told.summary}")
+    for what, words in told.facts:
+        wrapped(f"{what.lower()}: {words}")
+    for line in (*told.about, *told.record):
+        print()
+        wrapped(line, "")
+    entered = [f"{line['scenario']} ({', '.join(labels)})" for line, labels in _entered(found.name)]
+    print()
+    wrapped(f"entered in: {'; '.join(entered) or 'no built-in scenario'}")
+    if folder and not told.record:
+        print(f"{folder}: has no run of it")
     if found.parameters:
         print_table("Parameters", found.parameters)
     else:
         print("no parameters")
+
+
+def _entered(plugin: str) -> Iterator[tuple[dict[str, Any], list[str]]]:
+    """The scenarios that have entries of an estimator, with the entries."""
+    for line in scenario_lines():
+        entries = outline(line["scenario"])[0].get("estimators", {})
+        labels = [label for label, entry in entries.items() if entry.get("plugin") == plugin]
+        if labels:
+            yield line, labels
 
 
 def _origin(key: str, origins: Mapping[str, str]) -> str:

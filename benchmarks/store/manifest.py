@@ -97,7 +97,8 @@ class AboutScenario(_Part):
 
 
 class AboutEstimator(_Part):
-    """What is told of an estimator. given: in Python, by value: only who gave it can compute its rows again."""
+    """What is told of an estimator. about: its docstring. given: in Python, by value: only who gave it can compute its
+    rows again."""
 
     summary: Text
     family: Annotated[str, Field(max_length=60)] = "Other"
@@ -107,6 +108,7 @@ class AboutEstimator(_Part):
     oracle: bool
     smoother: bool = False
     given: bool = False
+    about: Text = ""
 
 
 class StoredCell(_Part):

@@ -167,6 +167,24 @@ def test_a_given_class_cannot_be_replayed(found: railstate.Results, folder: Path
     assert "was given in Python, by value; only who gave it can run it again" in capsys.readouterr().err
 
 
+def test_an_estimator_s_page_has_its_record(found: railstate.Results, folder: Path, monkeypatch: pytest.MonkeyPatch,
+                                           capsys: pytest.CaptureFixture[str]) -> None:
+    """Equations from its docstring, what it claims, and where it was best or worse: counted from the verdict table."""
+    monkeypatch.setattr(sys, "argv", ["railstate", "show", "kalman", "--out", "mine"])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    said = " ".join(capsys.readouterr().out.split())
+    table = found.verdicts()
+    mine = table[(table["kind"] == "error") & table["estimator"].isin(["kalman", "own", "late"])]
+    good = mine[mine["verdict"].isin(["best", "tie"])]
+    assert f"Least error, or tied with it, in {len(good)} of {len(mine)} rankings: cart/calm" in said
+    assert "claims: mean, covariance" in said and "rap-example-1 (kalman" in said
+    page = found.report("page.html").read_text()
+    assert f"Least error, or tied with it, in {len(good)} of {len(mine)} rankings" in page
+    assert "a gain on the position" in page and "x+ = x- + g (y - x-)" in page
+    assert "Shown to be worse in" in page
+
+
 @pytest.mark.parametrize(("given", "message"), [
     ([], "none is given"), ([3], "got 3; expected a label or a name, a class over"),
     ([lambda model: None], "expected a label"), ({"a b": "ekf"}, "'a b' is no label"),

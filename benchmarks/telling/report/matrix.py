@@ -10,10 +10,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from ..estimators import Page, page
 from ..marks import MARKS, Line, drawn, shade
 from ..rankings import Cell, Ranking
 from ..sentences import floor_name
-from ..wording import counted, ratio, ratio_of, value_of
+from ..wording import ratio, ratio_of, value_of
 
 AGAINST = ("the best", "the yardstick", "the floor")
 QUANTITIES = ("first of the setting", "second")
@@ -134,15 +135,8 @@ def _tally(views: Sequence[View | None]) -> tuple[str, list[tuple[str, float]]]:
 
 
 def families_in_words(cells: Sequence[Cell], estimators: Mapping[str, Any], families: Sequence[str]) -> list[
-        tuple[str, list[tuple[str, str]]]]:
-    """Of each family its plug-ins with what they are, and how many entries there are."""
-    out = []
-    for family in families:
-        plugins: dict[str, set[str]] = {}
-        for cell in cells:
-            for label, entry in cell.entries.items():
-                if cell.families.get(label, "Other") == family:
-                    plugins.setdefault(entry["plugin"], set()).add(label)
-        out.append((family, [(plugin, f"{estimators[plugin]['summary']} ({counted(len(labels), 'entry')})".replace(
-            "entrys", "entries")) for plugin, labels in plugins.items()]))
-    return out
+        tuple[str, list[Page]]]:
+    """Of each family a page for each plug-in."""
+    plugins = {family: dict.fromkeys(entry["plugin"] for cell in cells for label, entry in cell.entries.items()
+                                     if cell.families.get(label, "Other") == family) for family in families}
+    return [(family, [page(name, estimators[name], cells) for name in names]) for family, names in plugins.items()]
