@@ -41,6 +41,22 @@ def test_what_uses_an_edited_helper_in_another_file_is_compiled_anew_and_nothing
     assert run(tmp_path, MAIN) == ["42.0", "0", "1"]
 
 
+def test_two_processes_do_not_compile_the_same(tmp_path: Path) -> None:
+    (tmp_path / "alone.py").write_text(HELPER.format("1.0"))
+    code = "from alone import helper; helper(1.0); print(len(helper.stats.cache_hits))"
+    both = [subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, text=True,
+                             env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}) for _ in range(2)]
+    assert sorted(process.communicate(timeout=120)[0].strip() for process in both) == ["0", "1"]
+
+
+def test_who_compiles_first_says_so_once(capfd: pytest.CaptureFixture[str]) -> None:
+    with machine_code.told("compiling"):
+        machine_code._tell()
+        machine_code._tell()
+    machine_code._tell()
+    assert capfd.readouterr().err.count("compiling") == 1
+
+
 def test_a_plug_ins_kernels_are_kept_where_any_edit_of_the_suite_counts(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(PLUGIN)
     code = "import mine; mine.width(3); print(len(mine.width.stats.cache_hits))"
