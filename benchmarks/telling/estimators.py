@@ -12,7 +12,7 @@ from .marks import Line, drawn
 from .rankings import Cell
 from .wording import counted, ratio
 
-NAMED = 6
+NAMED = 3
 """How many settings a line names."""
 
 
@@ -57,11 +57,14 @@ def record(plugin: str, cells: Sequence[Cell]) -> list[str]:
             if drawn(line) in ("best", "tie")]
     found = [f"Least error, or tied with it, in {len(good)} of {counted(len(lines), 'ranking')}"
              f"{': ' if good else ''}{_some(good)}."]
-    bad = [(float(line["ratio"]), key, quantity, line) for key, quantity, line in lines if drawn(line) == "worse"]
-    if bad:
-        most, key, quantity, line = max(bad, key=lambda item: item[0])
-        found.append(f"Shown to be worse in {words['worse']}, at the most {ratio(most)} times the least error: {key} "
-                     f"{quantity} ({line['estimator']}).")
+    bad = [(float(line["ratio"]), key, quantity, line) for key, quantity, line in lines
+           if drawn(line) == "worse" and line["ratio"] < float("inf")]
+    if words["worse"]:
+        most = ""
+        if bad:
+            value, key, quantity, line = max(bad, key=lambda item: item[0])
+            most = f", at the most {ratio(value)} times the least error: {key} {quantity} ({line['estimator']})"
+        found.append(f"Shown to be worse in {words['worse']}{most}.")
     if words["undecided"]:
         found.append(f"Undecided in {words['undecided']}.")
     if lost:

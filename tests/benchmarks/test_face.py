@@ -190,7 +190,7 @@ def test_an_estimator_s_page_has_its_record(found: railstate.Results, folder: Pa
     ([lambda model: None], "expected a label"), ({"a b": "ekf"}, "'a b' is no label"),
     ([{"plugin": "ekf"}], "a table needs a label"), ({"x": {"plugin": "kalman", "lat": 1}}, "x.lat: unknown key"),
     (["kalman", "kalman"], "two are called kalman"), (["nobody"], "no such estimator"),
-    ({"x": {"plugin": "kalman", "knowledge": {"Q": 3}}}, "knowledge"),
+    ({"x": {"plugin": "kalman", "knowledge": {"sigma": 3}}}, "x.knowledge.sigma: unknown"),
     ([type("Kalman", (railstate.Estimator,), {})], "named kalman is installed already"),
     ([type("Part", (railstate.Estimator,), {})], "part: lacks estimate, predict, start, update")])
 def test_what_cannot_be_given_is_told(given: Any, message: str, folder: Path) -> None:
