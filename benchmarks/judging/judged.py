@@ -47,7 +47,8 @@ class Judged:
         ratio, half = self.family.log_ratio[a, b], self.family.half[a, b]
         if not np.isfinite(ratio):  # one of them has no error, or both
             ratio, half = 0.0 if np.isnan(ratio) else ratio, 0.0
-        found = np.exp([ratio, ratio - half, ratio + half])
+        with np.errstate(over="ignore"):  # of two runs the interval is as good as endless
+            found = np.exp([ratio, ratio - half, ratio + half])
         won = _won(self.values[i], self.values[j])
         remarks = []
         if word == "undecided" and (ratio - half > 0 and self.family.tails[a, b]):
