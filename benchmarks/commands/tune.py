@@ -126,6 +126,8 @@ def tune_(
 def _remarks(tuned: Tuned) -> list[str]:
     """What a user must know of the search, a line each."""
     lines = [f"the optimum of {key} lies at a limit of the search: it may be better beyond" for key in tuned.found.edge]
+    if tuned.kept:
+        lines.append("none is better than the untuned entry, which stays")
     over = sum(bool(one.get("over")) for one in tuned.evaluations)
     bad = sum(one["loss"] is None for one in tuned.evaluations) - over
     off = sum(one.get("broken") is None or one["broken"] > 0 for one in tuned.evaluations if one["loss"] is not None)

@@ -8,6 +8,7 @@ import copy
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -55,7 +56,8 @@ class Scored:
 @dataclass(frozen=True)
 class Tuned:
     """entry: as a scenario file has it. train, test: scores by "tuned", "untuned" and what stands beside.
-    evaluations: of the search, in their order, for the manifest."""
+    evaluations: of the search, in their order, for the manifest. kept: the untuned entry was no worse than any of
+    them, and stays."""
 
     entry: dict[str, Any]
     found: Found
@@ -63,6 +65,7 @@ class Tuned:
     test: dict[str, Scored]
     evaluations: list[dict[str, Any]]
     limit: float
+    kept: bool
 
     def gap(self, name: str) -> tuple[float, float]:
         """Test loss over training loss, less 1, with its standard error: the runs of both are independent."""
@@ -201,23 +204,21 @@ def tune(task: Task, axes: Sequence[Axis], budget: int) -> Tuned:
     if min(found.broken) > 0:
         raise InputError(f"--subject-to: none of {len(found.losses)} evaluations of {task.label} keeps it; other "
                          "limits of the search may do")
-    tuned = told(found.values)
-    entries = {"tuned": (task.label, tuned), **_matched(task, untuned),
-               **{label: (label, task.entry(label)) for label in task.beside}}
+    kept = train["untuned"].broken <= 0 and train["untuned"].loss <= found.loss
+    tuned = untuned if kept else told(found.values)
+    entries = {"tuned": (task.label, tuned), **{label: (label, task.entry(label)) for label in task.beside}}
     train |= {name: task.score(entry, True, label) for name, (label, entry) in entries.items()}
+    bare = {"plugin": untuned["plugin"]}
+    if not set(untuned) <= {"plugin", "note", "default"}:
+        with suppress(InputError):  # of another model, it may not be scored by the objective
+            train["as told"], entries["as told"] = task.score(bare, True), (task.label, bare)
     test = {name: task.score(entry, False, label)
             for name, (label, entry) in {"untuned": (task.label, untuned), **entries}.items()}
     written = {key: value for key, value in tuned.items() if key not in ("note", "default")}
     written["tuned"] = {"variant": task.variant, "untuned": task.label, "runs": task.runs, "train": {
         f"{metric}:{quantity}": [_short(train[name].values[i]) for name in ("tuned", "untuned")]
         for i, (metric, quantity) in enumerate(task.objective)}}
-    return Tuned(written, found, train, test, log, limit)
-
-
-def _matched(task: Task, untuned: Mapping[str, Any]) -> dict[str, tuple[str, dict[str, Any]]]:
-    """The estimator as the scenario tells it, beside an entry that is told something else."""
-    bare = {"plugin": untuned["plugin"]}
-    return {} if set(untuned) <= {"plugin", "note", "default"} else {"as told": (task.label, bare)}
+    return Tuned(written, found, train, test, log, limit, kept)
 
 
 def _finite(value: float) -> float | None:

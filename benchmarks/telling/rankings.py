@@ -174,8 +174,10 @@ class Cell:
         return found
 
     def tuned(self, label: str) -> bool:
-        """Whether an entry's numbers were searched on training runs, as the scenario file says."""
-        return self.origin.get(f"estimators.{label}", "").startswith("tuned")
+        """Whether an entry's numbers were searched on training runs of this variant, as the scenario file says."""
+        record = self.entries.get(label, {}).get("tuned")
+        said = self.origin.get(f"estimators.{label}", "").startswith("tuned")
+        return record["variant"] == self.variant if record else said
 
     def told(self, label: str) -> str:
         """What an entry is told or set differently: `sigma_w = 0.3`, `tuned: ..`."""

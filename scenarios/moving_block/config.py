@@ -52,6 +52,9 @@ class ControlTable(Strict):
     margin: Annotated[NonNegativeFloat, key("added to it where the law acts", "m")]
     reserve: Annotated[NonNegativeFloat, key(
         "periods of the follower's way by which the distance kept is longer than (23) asks for", "1")] = 2.0
+    steered_by: Annotated[Literal["estimator", "tags"], key(
+        "estimator: by its own estimates; tags: by the place of the last tag read and the way counted since, whoever "
+        "estimates, so that all listen to one trial")] = "estimator"
 
 
 class MovingBlockSignalling(Strict):

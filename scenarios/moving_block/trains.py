@@ -142,9 +142,10 @@ class TwoTrains:
 
     gap_sum, gap_least (S,): of the true gap over a run's steps, m; driven (S,): their number; lap_times (2, S): when
     each train had finished its laps, s, NaN while it has not. squared, counted (4, S): squared errors (m^2) summed
-    while each train is under way, and how many. extra: along-track positions `s-a s-b`, their estimates
-    `estimate-s-a estimate-s-b`, `gap`, `kept-distance` d_min(k) of (23), and map positions `x-a y-a x-b y-b
-    estimate-x-a ..`, each (K, S) in m, NaN once a run is over; index k is the instant at the end of step k."""
+    while each train is under way, and how many. steering (2, S): along-track places by which the trains are driven,
+    where they are not the estimator's; then `estimate-s-a estimate-s-b` are these. extra: along-track positions `s-a
+    s-b`, their estimates `estimate-s-a estimate-s-b`, `gap`, `kept-distance` d_min(k) of (23), and map positions `x-a
+    y-a x-b y-b estimate-x-a ..`, each (K, S) in m, NaN once a run is over; index k is the instant at the end of step k."""
 
     closed_loop = True
 
@@ -175,6 +176,8 @@ class TwoTrains:
         self.initial_mean = np.stack([x[0], y[0], x[1], y[1]])
         passes = sensors.tags.count * (trains.laps + 4)
         self.crossings, self.tag_x, self.tag_y = self._tags(config, track, start, passes)
+        self.tag_s = self.crossings
+        self.steering = start.copy() if rules.steered_by == "tags" else None
         self.crossings = self.crossings[:, :, None] + sensors.tags.sd * measurement.normal(2, passes)
         # A train whose run has gone wrong may go on for ever: beyond the last tag there is none.
         self.crossings = np.concatenate([self.crossings, np.full((2, 1, runs), np.inf)], axis=1)
@@ -237,12 +240,19 @@ class TwoTrains:
             self.squared += np.where(self._under_way, (mean - self._truth) ** 2, 0.0)
             self.counted += self._under_way
         was_active = self.active.copy()
+        if self.steering is not None:
+            mean = np.empty((4, runs))
+            _place_all(self.steering, line.half, line.radius, mean)
         _locate(np.ascontiguousarray(mean), memory, line, k * self.period, self.active)
         if k > 0:
             self._along[k - 1, 4:] = np.where(was_active, memory.known, np.nan)
         u, share, tag = np.empty((2, runs)), np.empty((2, runs)), np.zeros((2, runs), dtype=np.int64)
         _move(memory, line, self.control, self.stops, self.factor[k], self.crossings, self.read, self.active, u, share,
               tag)
+        if self.steering is not None:
+            seen = (share >= 0) & self.heard[k, ::2]
+            at = np.take_along_axis(self.tag_s, tag, axis=1)
+            self.steering = np.where(seen, at + (1 - share) * u, self.steering + u)
         truth = np.empty((4, runs))
         _place_all(memory.s, line.half, line.radius, truth)
         gap = memory.s[0] - line.train - memory.s[1]

@@ -1,0 +1,58 @@
+"""Yardsticks in the built-in scenarios: who is tuned, on what, and that no family stands in a table untuned."""
+
+from __future__ import annotations
+
+import pytest
+from railstate.estimators.registry import estimator_class
+from railstate.scenarios.files import load
+from railstate.scenarios.registry import scenario_files
+
+SCENARIOS = sorted(scenario_files())
+MODELS = {"model", "motion", "shortfall"}
+"""What an entry may be told that chooses a model of the setting's, and no number of it."""
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_no_default_table_in_which_a_family_has_no_tuned_or_matched_entry(name: str) -> None:
+    """Tuned: its numbers were searched. Matched: it is told the numbers that the scenario tells, none of its own."""
+    scenario = load(name)
+    for variant in scenario.variants:
+        if variant in scenario.requested:
+            continue
+        fair: dict[str, bool] = {}
+        for label, entry in scenario.setting(variant).config.estimators.items():
+            if entry.default:
+                family = estimator_class(entry.plugin, label).family
+                own = set(entry.knowledge) - MODELS or entry.augment
+                fair[family] = fair.get(family, False) or entry.tuned is not None or not own
+        assert all(fair.values()), f"{name}/{variant}: {[family for family, one in fair.items() if not one]}"
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_tuned_entry_tells_where_it_comes_from(name: str) -> None:
+    """Its variant and the entry before exist, it was no worse on the training runs (by the geometric mean that counts),
+    [origin] has the command, and its label says what it is."""
+    scenario = load(name)
+    for variant in scenario.variants:
+        config = scenario.setting(variant).config
+        for label, entry in config.estimators.items():
+            origin = config.origin.get(f"estimators.{label}", "")
+            assert origin.startswith("tuned") == label.endswith("-tuned") == (entry.tuned is not None), (variant, label)
+            if entry.tuned is None:
+                continue
+            before = config.estimators[entry.tuned.untuned]
+            assert before.plugin == entry.plugin and entry.tuned.variant in scenario.variants
+            assert f"railstate tune {name}/" in origin and f"--estimator {entry.tuned.untuned} " in origin
+            ratio = 1.0
+            for tuned, untuned in entry.tuned.train.values():
+                ratio *= tuned / untuned
+            assert ratio < 1.0001, (variant, label)
+
+
+def test_every_default_variant_of_the_metro_has_numbers_of_its_own() -> None:
+    scenario = load("ningbo-metro")
+    for variant in scenario.variants:
+        if variant not in scenario.requested:
+            tuned = {label: entry.tuned for label, entry in scenario.setting(variant).config.estimators.items()
+                     if entry.tuned is not None}
+            assert len(tuned) == 5 and {record.variant for record in tuned.values()} == {variant}
