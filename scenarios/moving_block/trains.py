@@ -145,7 +145,7 @@ class TwoTrains:
     while each train is under way, and how many. steering (2, S): along-track places by which the trains are driven,
     where they are not the estimator's; then `estimate-s-a estimate-s-b` are these. extra: along-track positions `s-a
     s-b`, their estimates `estimate-s-a estimate-s-b`, `gap`, `kept-distance` d_min(k) of (23), and map positions `x-a
-    y-a x-b y-b estimate-x-a ..`, each (K, S) in m, NaN once a run is over; index k is the instant at the end of step k."""
+    y-a x-b y-b estimate-x-a ..`, each (K, S) in m, NaN once a run is over; index k: the end of step k."""
 
     closed_loop = True
 

@@ -191,8 +191,8 @@ def test_scenario_has_the_public_names() -> None:
     assert scenario.requested == {"prior-normal", "prior-uniform", "static", "held-noise", "uncertain-start"}
     labels = {"rbpf-static", "rbpf", "rbpf-bootstrap", "sma", "sma-heaviest", "gsma", "gsma-heaviest",
               "gsma-memoryless", "gsma-2000", "imm-uniform", "imm-third", "imm-sticky", "augmented-kalman",
-              "kalman-known-f", "ekf", "ukf", "ckf", "sma-sticky", "gsma-sticky", "rbpf-tuned", "sma-tuned", "gsma-tuned",
-              "imm-tuned", "augmented-kalman-tuned", "ukf-tuned"}
+              "kalman-known-f", "ekf", "ukf", "ckf", "sma-sticky", "gsma-sticky", "rbpf-tuned", "sma-tuned",
+              "gsma-tuned", "imm-tuned", "augmented-kalman-tuned", "ukf-tuned"}
     for variant in VARIANTS:
         chosen = scenario.setting(variant)
         assert {label for label, entry in chosen.config.estimators.items() if entry.default} == labels
