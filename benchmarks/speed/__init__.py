@@ -5,18 +5,21 @@ limit of a filter is a compiled loop written by hand for its one model."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from multiprocessing import get_context
 
 from ...scenarios.errors import InputError
-from .measure import Line, Row, merged
+from . import cluster
+from .measure import Line, Row
 
 COMPARISONS = {
     "metro": "2 states, filterpy's own loop with a plain Python model, and loops written by hand",
     "cars": "4 and 12 states with missing packets, filterpy, simdkalman, and loops written by hand",
     "robust": "batched fast form against the convex form (DPP-parametrised, Clarabel)",
     "particles": "braking rate, against a numpy loop over particles",
+    "cluster": "a local Dask cluster of one and of two workers against this process, by runs a task",
 }
 """The comparisons, a module each, and what they are."""
 
@@ -31,13 +34,13 @@ def race(name: str, repeats: int, processes: int = 1) -> list[Row]:
         for _ in range(processes):
             with ProcessPoolExecutor(1, get_context("spawn")) as fresh:
                 found.append(fresh.submit(_lines, name, repeats).result())
-        return [line.row for line in merged(found)]
+        return [lines[0].least(lines).row for lines in zip(*found, strict=True)]
     except ModuleNotFoundError as error:
         raise InputError(f"--only {name}: its peer {error.name} is not installed; pip install 'railstate[test]' has "
                          "all peers") from None
 
 
-def _lines(name: str, repeats: int) -> list[Line]:
+def _lines(name: str, repeats: int) -> Sequence[Line | cluster.Line]:
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):

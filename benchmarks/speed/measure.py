@@ -4,7 +4,7 @@ Minimums: other work on the machine only ever adds. Ratios are of one process ea
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -53,15 +53,18 @@ class Line(NamedTuple):
     apart: float
 
     @property
-    def key(self) -> tuple[Any, ...]:
-        return self[:4]
-
-    @property
     def row(self) -> Row:
         """As it is shown."""
         return {"estimator": self.estimator, "states": str(self.states), "runs": str(self.runs),
                 "ns/run-step": _digits(self.mine), "peer": self.peer, "peer ns/run-step": _digits(self.theirs),
                 "times faster": _digits(self.faster), "estimates differ by": f"{self.apart:.1e}"}
+
+    @staticmethod
+    def least(lines: Sequence[Line]) -> Line:
+        """That of several processes: least times, the median of the paired ratios, the greatest difference."""
+        return lines[0]._replace(
+            mine=min(line.mine for line in lines), theirs=min(line.theirs for line in lines),
+            faster=float(np.median([line.faster for line in lines])), apart=max(line.apart for line in lines))
 
 
 def _digits(value: float) -> str:
@@ -126,17 +129,6 @@ def _apart(a: Array, b: Array) -> float:
     a, b = (part.reshape(len(part), -1) for part in (a, b))
     runs = min(a.shape[1], b.shape[1])
     return float(np.abs(a[:, :runs] - b[:, :runs]).max())
-
-
-def merged(processes: list[list[Line]]) -> list[Line]:
-    """Lines of several processes as one each: least times, the median of the paired ratios, the greatest difference."""
-    out = []
-    for lines in zip(*processes, strict=True):
-        assert len({line.key for line in lines}) == 1
-        out.append(lines[0]._replace(
-            mine=min(line.mine for line in lines), theirs=min(line.theirs for line in lines),
-            faster=float(np.median([line.faster for line in lines])), apart=max(line.apart for line in lines)))
-    return out
 
 
 def recorded(cell: Cell, runs: int) -> Trajectory:

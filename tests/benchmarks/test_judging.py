@@ -207,6 +207,10 @@ def test_shares(rng: np.random.Generator) -> None:
     parts = np.clip(rng.normal(0.5, 0.05, 100), 0, 1)
     low, high = stats.t.interval(0.95, 99, loc=parts.mean(), scale=stats.sem(parts))
     assert st.share(parts)[1:3] == pytest.approx((low, high), abs=2e-3)
+    p, n = parts.mean(), len(parts)  # Korn and Graubard (1998): Clopper and Pearson's limits at the effective size
+    size = p * (1 - p) / (parts.var(ddof=1) / n) * (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n - 1)) ** 2
+    assert st.share(parts)[1:3] == pytest.approx((stats.beta.ppf(0.025, p * size, size - p * size + 1),
+                                                  stats.beta.ppf(0.975, p * size + 1, size - p * size)), rel=1e-9)
     assert np.isnan(st.share([]).value)
 
 

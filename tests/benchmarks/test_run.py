@@ -363,3 +363,11 @@ def test_more_runs_and_estimators_go_where_the_first_went(railstate: Command) ->
     Path("cart.toml").write_text(Path("cart.toml").read_text().replace("x0 = [0, 1]", "x0 = [0, 2]"))
     assert railstate("run", "cart.toml/calm", "--runs", 2, "--estimators", "ekf").code == 0
     assert len(list(Path("results").iterdir())) == 3
+
+
+def test_a_loose_plug_in_runs_beside_the_scenario_s_own_without_being_asked_for(railstate: Command) -> None:
+    Path("other.py").write_text(Path("half.py").read_text().partition("\n\nclass Raises")[0])
+    Path("cart.toml").write_text(Path("cart.toml").read_text().replace(
+        '[estimators.half]\nplugin = "half"', '[estimators.ekf]\nplugin = "ekf"'))
+    done = railstate(*CART[:-2], "--plugin", "other.py", "--runs", 1, "--jobs", 1, "--out", "out")
+    assert done.code == 0 and set(rows("out")["estimator"]) == {"ekf", "other"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import pytest
-from railstate.benchmarks.speed import COMPARISONS, cars, metro, particles, race, robust, start
+from railstate.benchmarks.speed import COMPARISONS, cars, cluster, metro, particles, race, robust, start
 
 from ..conftest import Command
 
@@ -15,10 +15,10 @@ SMALL = {"metro": (metro, {"RUNS": (1, 12), "STEPS": 30}, 2e-8), "cars": (cars, 
 
 
 def test_every_comparison_is_tried() -> None:
-    assert list(SMALL) == list(COMPARISONS)
+    assert [*SMALL, "cluster"] == list(COMPARISONS)
 
 
-@pytest.mark.parametrize("name", COMPARISONS)
+@pytest.mark.parametrize("name", SMALL)
 def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     module, sizes, apart = SMALL[name]
     for constant, size in sizes.items():
@@ -36,7 +36,7 @@ def test_a_peer_that_is_not_installed_is_one_message(railstate: Command, monkeyp
     done = railstate("timing", "--only", "cars", "--repeats", 1, "--processes", 1)
     assert done.code == 2 and "its peer simdkalman is not installed" in done.err and "Traceback" not in done.err
     refused = railstate("timing", "--only", "horses")
-    assert refused.code == 2 and "allowed: metro, cars, robust, particles, start" in refused.err
+    assert refused.code == 2 and "allowed: metro, cars, robust, particles, cluster, start" in refused.err
 
 
 def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,3 +52,11 @@ def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(start, "QUICK", (("--nothing",),))
     with pytest.raises(RuntimeError, match="No such option"):
         start.seconds(1)
+
+
+@pytest.mark.long
+def test_what_a_cluster_costs_is_measured(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "BLOCKS", (2,))
+    lines = race("cluster", 1)
+    assert [(line["workers"], line["runs a task"]) for line in lines] == [("1", "2"), ("2", "2")]
+    assert all(0 < float(line["efficiency"]) < 1.5 for line in lines)

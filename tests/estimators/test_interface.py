@@ -13,7 +13,7 @@ from railstate.benchmarks.scoring.innovations import InnovationScore
 from railstate.estimators.interface import Estimate, Estimator, Innovation
 from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError, Unsupported
-from railstate.scenarios.measurement import Interval, Measurement, told
+from railstate.scenarios.measurement import Interval, Measurement, told, untold
 from railstate.scenarios.model import DesignModel, Linear
 from railstate.scenarios.world import Event, Step, Trajectory
 from scipy.stats import chi2, multivariate_normal
@@ -274,3 +274,15 @@ def test_nis_of_a_matched_filter_lies_in_its_interval() -> None:
     assert np.mean((low <= nis) & (nis <= high)) == pytest.approx(0.95, abs=0.01)
     pairs, whiteness = said["pairs", "innovation"], said["whiteness", "innovation"]
     assert np.mean(np.abs(whiteness) <= 1.96 / np.sqrt(pairs)) == pytest.approx(0.95, abs=0.01)
+
+
+def test_noise_as_it_is_told_is_inflated_where_asked() -> None:
+    own = np.diag([4.0, 9.0])[:, :, None]
+    said = np.full((2, 2, 3), np.nan)
+    said[0, 0, 1] = 1.0
+    plain, partly = untold(1, 2), untold(1, 2)._replace(covariance=said)
+    for factor in (1.0, 2.5):
+        covariance = told(lambda step: step * own, factor)
+        np.testing.assert_array_equal(covariance(plain), factor * own)
+        np.testing.assert_array_equal(covariance(partly)[:, :, 1], factor * np.diag([1.0, 9.0]))
+        np.testing.assert_array_equal(covariance(partly)[:, :, 0], factor * own[:, :, 0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from railstate.scenarios.channels import Channel, Sent
 from railstate.scenarios.files import load
 from railstate.scenarios.randomness import Streams
@@ -94,6 +94,16 @@ def test_markov_random_access_stays_and_turns_as_it_says():
     by_power = np.linalg.matrix_power(np.array(chain), 200)[0]
     assert channel(kind="markov-random-access", transition=chain, nodes=[[0], [1], [2]]).reception().p == pytest.approx(
         by_power)
+
+
+@pytest.mark.parametrize(("given", "said"), [
+    ({"transition": [[1.0, 0.0], [0.0, 1.0]]}, "no one stationary distribution"),
+    ({"transition": [[0.5, 0.4], [0.5, 0.5]]}, "row 0 has 2 entries that sum to 0.9"),
+    ({"transition": [[0.5, 0.5]]}, "must be square"), ({}, "needs either transition"),
+    ({"transition": [[0.5, 0.5], [0.5, 0.5]], "stay": 0.5}, "needs either transition")])
+def test_chains_of_access_that_are_none_are_refused(given, said):
+    with pytest.raises(ValidationError, match=said):
+        channel(kind="markov-random-access", **given)
 
 
 @pytest.mark.parametrize("reorder", [True, False])

@@ -59,6 +59,16 @@ def test_what_is_told_is_not_handed_on():
     np.testing.assert_array_equal(told.faulty, faulty(outliers__share=0.2).faulty)
 
 
+def test_bursts_take_the_readings_of_their_sensors_for_as_long_as_they_say():
+    found = faulty(burst__p_good_bad=0.1, burst__p_bad_good=0.25, burst__sensors=["position"])
+    lost = ~found.received[:, 0]
+    assert found.received[:, 1].all()
+    here = lost[:-1]
+    for stays, share in ((~here & lost[1:], 0.1), (here & ~lost[1:], 0.25)):
+        count = (here if share == 0.25 else ~here).sum()
+        assert abs(stays.sum() / count - share) < 4 * np.sqrt(share * (1 - share) / count)
+
+
 def test_student_t_multiplies_the_noise():
     plain, heavy = world(), faulty(**{"student-t__dof": 3.0})
     wide = (heavy.y - heavy.truth) / (plain.y - plain.truth)

@@ -174,6 +174,8 @@ def load_results(folder: str | Path, *, run: int = 0, only: Sequence[str] = (), 
     scenarios: dict[str, list[CellResults]] = {}
     for cell in cells_of(verdicts, manifest, store.timing()):
         key = cell.scenario, cell.variant
+        if key not in parts:
+            raise InputError(f"{store.folder}: verdicts.parquet tells of {cell.key}, and no rows are there; remove it")
         scenarios.setdefault(cell.scenario, []).append(CellResults(
             cell, manifest["replay"]["cells"][cell.key]["table"],
             parts[key].dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
