@@ -8,12 +8,9 @@ from __future__ import annotations
 import argparse
 import ast
 import compileall
-import hashlib
 import importlib
-import importlib.util
 import json
 import os
-import random
 import re
 import resource
 import shutil
@@ -21,12 +18,12 @@ import signal
 import sys
 import time
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+from mutants import PACKAGES, Fault, drawn
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("benchmarks", "estimators", "scenarios")
 USER, PROCESSES, LARGEST = 47_029, 300, 12 << 30
 """Who runs the tests, and how many processes and bytes of address space that user gets."""
 PRELOADED = ("numba", "pandas", "pyarrow.parquet", "pyarrow.compute", "scipy.linalg", "scipy.stats", "scipy.integrate",
@@ -34,131 +31,6 @@ PRELOADED = ("numba", "pandas", "pyarrow.parquet", "pyarrow.compute", "scipy.lin
              "rich.progress", "jinja2", "joblib", "cvxpy", "hypothesis", "pytest", "threadpoolctl", "filterpy.kalman")
 """What a trial need not import anew: libraries, nothing of ours."""
 JIT = re.compile(r"^ *@(njit|kernel|compiled)\b|\bcompiled\(", re.MULTILINE)
-SWAPS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.FloorDiv: ("//", "*"),
-         ast.Mod: ("%", "*"), ast.Pow: ("**", "*"), ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="),
-         ast.GtE: (">=", ">"), ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.And: ("and", "or"),
-         ast.Or: ("or", "and"), ast.In: ("in", "not in"), ast.NotIn: ("not in", "in"), ast.Is: ("is", "is not"),
-         ast.IsNot: ("is not", "is"), ast.BitAnd: ("&", "|"), ast.BitOr: ("|", "&")}
-
-
-class Fault(NamedTuple):
-    """A change of a module: what stands at [begin, end) of its text becomes `new`."""
-
-    path: str
-    line: int
-    begin: int
-    end: int
-    new: str
-
-
-class Draw(ast.NodeVisitor):
-    """All faults of a module: operators, comparisons, numbers, truth values, deleted statements, dropped arguments."""
-
-    def __init__(self, path: str, text: str) -> None:
-        self.path, self.text, self.found = path, text, list[Fault]()
-        data = text.encode()  # columns of a tree count bytes
-        self.starts = [0]
-        for line in data.splitlines(keepends=True):
-            self.starts.append(self.starts[-1] + len(line))
-        self.data = data
-        self.visit(ast.parse(text))
-
-    def add(self, line: int, begin: int, end: int, new: str) -> None:
-        begin, end = (len(self.data[:place].decode()) for place in (begin, end))
-        self.found.append(Fault(self.path, line, begin, end, new))
-
-    def first(self, node: Any) -> int:
-        return self.starts[node.lineno - 1] + node.col_offset
-
-    def last(self, node: Any) -> int:
-        return self.starts[node.end_lineno - 1] + node.end_col_offset
-
-    def swap(self, left: Any, operator: Any, right: Any, tail: str = "") -> None:
-        """The operator's sign between two nodes."""
-        if type(operator) not in SWAPS:
-            return
-        old, new = SWAPS[type(operator)]
-        begin, end = self.last(left), self.first(right)
-        place = re.search((rf"\b{old}\b" if old.isalpha() else re.escape(old + tail)).encode(), self.data[begin:end])
-        if place:
-            self.add(left.end_lineno, begin + place.start(), begin + place.end(), new + tail)
-
-    def visit_BinOp(self, node: ast.BinOp) -> None:
-        if not isinstance(node.left, ast.Constant) or not isinstance(node.left.value, str):
-            self.swap(node.left, node.op, node.right)
-        self.generic_visit(node)
-
-    def visit_AugAssign(self, node: ast.AugAssign) -> None:
-        self.swap(node.target, node.op, node.value, "=")
-        self.gone(node)
-
-    def visit_Compare(self, node: ast.Compare) -> None:
-        for left, operator, right in zip([node.left, *node.comparators], node.ops, node.comparators, strict=False):
-            self.swap(left, operator, right)
-        self.generic_visit(node)
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> None:
-        self.swap(node.values[0], node.op, node.values[1])
-        self.generic_visit(node)
-
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> None:
-        if isinstance(node.op, ast.Not | ast.USub):
-            self.add(node.lineno, self.first(node), self.first(node.operand), "")
-        self.generic_visit(node)
-
-    def visit_Constant(self, node: ast.Constant) -> None:
-        value: Any = node.value
-        if isinstance(value, int | float) and value == value:
-            new = not value if isinstance(value, bool) else value + 1 if isinstance(value, int) else value * 1.5 or 1.0
-            self.add(node.lineno, self.first(node), self.last(node), repr(new))
-
-    def visit_Call(self, node: ast.Call) -> None:
-        for word in node.keywords:
-            end = self.last(word)
-            if word.arg and self.data[end:end + 1] == b",":
-                self.add(word.lineno, self.first(word), end + 1, "")
-            elif word.arg:
-                begin = self.first(word)
-                before = self.data[:begin].rstrip()
-                self.add(word.lineno, len(before) - before.endswith(b","), end, "")
-        self.generic_visit(node)
-
-    def gone(self, node: Any) -> None:
-        """A statement that is left out."""
-        self.add(node.lineno, self.first(node), self.last(node), "pass")
-        self.generic_visit(node)
-
-    visit_Raise = visit_Continue = visit_Break = gone
-
-    def visit_If(self, node: ast.If) -> None:
-        if "TYPE_CHECKING" in ast.dump(node.test):
-            return
-        if not node.orelse and self.text.splitlines()[node.lineno - 1].lstrip().startswith("if"):
-            self.add(node.lineno, self.first(node), self.last(node), "pass")
-        self.generic_visit(node)
-
-    def visit_Expr(self, node: ast.Expr) -> None:
-        if isinstance(node.value, ast.Call):
-            self.gone(node)
-        elif not isinstance(node.value, ast.Constant):
-            self.generic_visit(node)
-
-    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
-        if node.value is not None:
-            self.visit(node.value)
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-        for child in [*node.args.defaults, *filter(None, node.args.kw_defaults), *node.body]:
-            self.visit(child)
-
-    def visit_Import(self, node: ast.Import) -> None:
-        """Nothing to change."""
-
-
-def modules(tree: Path) -> list[str]:
-    """The modules of the three packages that have something to change."""
-    return [str(path.relative_to(tree)) for package in PACKAGES for path in sorted((tree / package).rglob("*.py"))
-            if len(Draw("", path.read_text(encoding="utf-8")).found) >= 4]
 
 
 def copied(folder: Path) -> Path:
@@ -167,6 +39,7 @@ def copied(folder: Path) -> Path:
     if not tree.exists():
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".git", "__pycache__", "*.egg-info", ".venv"))
         (tree / "railstate").mkdir()
+        (tree / "railstate" / "__init__.py").symlink_to(Path("..") / "benchmarks" / "face" / "__init__.py")
         for package in PACKAGES:
             (tree / "railstate" / package).symlink_to(Path("..") / package)
             compileall.compile_dir(str(tree / "railstate" / package), quiet=1)
@@ -201,7 +74,6 @@ def child(folder: Path, tree: Path, cache: Path, words: list[str], log: Path, pl
                           PYTHONPATH=str(tree))
         os.chdir(tree)
         sys.path.insert(0, str(tree))
-        sys.modules["numba"].config.CACHE_DIR = str(cache)
         import pytest
 
         code = int(pytest.main(["-n", "0", "--dist", "no", "-p", "no:cacheprovider", "--timeout", "120", *words],
@@ -340,24 +212,6 @@ class Tests:
         return found
 
 
-def drawn(tree: Path, seed: int, count: int, each: int) -> list[Fault]:
-    """`each` faults of each of `count` modules."""
-    rng, out = random.Random(seed), list[Fault]()
-    for path in sorted(rng.sample(modules(tree), count)):
-        text = (tree / path).read_text(encoding="utf-8")
-        found = Draw(path, text).found
-        sound = (fault for fault in rng.sample(found, len(found)) if _parses(text, fault))
-        out += sorted(islice(sound, each))
-    return out
-
-
-def _parses(text: str, fault: Fault) -> bool:
-    try:
-        return ast.dump(ast.parse(text)) != ast.dump(ast.parse(text[:fault.begin] + fault.new + text[fault.end:]))
-    except SyntaxError:
-        return False
-
-
 def attempt(folder: Path, tree: Path, options: argparse.Namespace) -> None:
     """Try drawn faults one after the other; a line of JSON each in tried.jsonl."""
     tests, faults = Tests(folder, tree), drawn(tree, options.seed, options.modules, options.each)
@@ -372,9 +226,8 @@ def attempt(folder: Path, tree: Path, options: argparse.Namespace) -> None:
         begun, how = time.monotonic(), "no test reaches it"
         if chosen:
             place.write_text(text[:fault.begin] + fault.new + text[fault.end:], encoding="utf-8")
-            cache = machine_code(folder, tree, fault)
             try:
-                pid = child(folder, tree, cache, ["-x", *chosen], folder / "trial.log", [])
+                pid = child(folder, tree, folder / "cache", ["-x", *chosen], folder / "trial.log", [])
                 code = ended(pid, 90 + 6 * options.seconds)
                 how = {0: "survives", None: "caught: no end"}.get(code, "caught")
                 if code not in (0, 1, None):
@@ -382,8 +235,6 @@ def attempt(folder: Path, tree: Path, options: argparse.Namespace) -> None:
             finally:
                 place.write_text(text, encoding="utf-8")
                 os.utime(place, ns=(before.st_atime_ns, before.st_mtime_ns))
-                if cache != folder / "cache":
-                    shutil.rmtree(cache, ignore_errors=True)
         line = text.splitlines()[fault.line - 1].strip()
         log = (folder / "trial.log").read_text(errors="replace") if chosen else ""
         by = re.findall(r"^(?:FAILED|ERROR) (\S+)", log, re.MULTILINE)
@@ -394,38 +245,6 @@ def attempt(folder: Path, tree: Path, options: argparse.Namespace) -> None:
             out.write(json.dumps(said) + "\n")
         print(f"{number} {how}: {fault.path}:{fault.line} {said['old'][:30]!r} -> {fault.new!r} ({len(chosen)} tests, "
               f"{said['seconds']:.0f} s)", flush=True)
-
-
-def machine_code(folder: Path, tree: Path, fault: Fault) -> Path:
-    """The place of numba's caches for a fault: what does not depend on it is there already."""
-    sys.path.insert(0, str(ROOT))
-    spec = importlib.util.spec_from_file_location("machine_code", tree / "scenarios" / "machine_code.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    packages = [tree / "railstate" / name for name in ("scenarios", "estimators", "benchmarks")]
-    key = module.key(*packages)
-    if (folder / "cache" / key).is_dir() and not JIT.search((tree / fault.path).read_text(encoding="utf-8")):
-        return folder / "cache"
-    newest = max((folder / "cache").iterdir(), key=lambda path: sum(1 for _ in path.rglob("*.nbc")))
-    cache = folder / "home" / "cache-of-a-fault"
-    shutil.rmtree(cache, ignore_errors=True)
-    shutil.copytree(newest, cache / key)
-    text = {path: path.read_text(encoding="utf-8") for package in packages for path in package.rglob("*.py")}
-    stale = {tree / "railstate" / fault.path}
-    inside = any(node.lineno <= fault.line <= (node.end_lineno or 0) for node in ast.walk(ast.parse(
-        text[tree / "railstate" / fault.path])) if isinstance(node, ast.FunctionDef))
-    if JIT.search(text[tree / "railstate" / fault.path]) or not inside:
-        while more := {path for path, code in text.items() if path not in stale and JIT.search(code)
-                       and stale.intersection(module._imported(path, code))}:
-            stale |= more
-    for path in stale:
-        name = f"{path.parent.name}_{hashlib.sha1(str(path.parent).encode()).hexdigest()}"
-        for file in (cache / key / name).glob(f"{path.stem}.*"):
-            file.unlink()
-    for path in [cache, *cache.rglob("*")]:
-        os.chown(path, USER, USER)
-    return cache
 
 
 def main() -> None:
