@@ -70,6 +70,7 @@ def on(found: Machine) -> tuple[str, ...]:
     return "--backend", "dask", "--scheduler", found.address
 
 
+@pytest.mark.long
 def test_rows_are_those_of_here_beside_plug_ins_that_die_hang_and_round(railstate: Command, two: Machine) -> None:
     Path("half.py").write_text(PLUG_INS)
     words = ("run", "cart.toml/calm", "--estimators", "ekf,kalman,half,dies,hangs,single", "--plugin", "half.py",
