@@ -115,8 +115,18 @@ def joined(layers: tuple[Read, ...]) -> tuple[dict[str, Any], dict[str, dict[str
         base.pop("name", None)
         base = merge(base, {key: value for key, value in layer.table.items() if key not in ("variants", "base")})
         for variant, changes in variants_of(layer).items():
-            named[variant] = merge(named.get(variant, {}), changes)
+            named[variant] = _over(named.get(variant, {}), changes)
     return base, named or {"default": {}}
+
+
+def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """The changes of a variant over those of the same variant in a base: what both say of [[faults]] by name stays
+    that, since the entries meant stand in the table under both."""
+    faults, changed = below.get("faults", {}), above.get("faults")
+    if not isinstance(faults, dict) or not isinstance(changed, dict):
+        return merge(below, above)
+    return {**merge(below, {key: value for key, value in above.items() if key != "faults"}),
+            "faults": merge(faults, changed)}
 
 
 def _within(key: str, others: Iterable[str]) -> bool:

@@ -182,6 +182,7 @@ class Command:
 def railstate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
     """The command line, in a temporary folder that holds cart.toml and half.py."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)  # tables as without a terminal
     (tmp_path / "cart.toml").write_text(SCENARIO)
     (tmp_path / "half.py").write_text(PLUGIN)
     return Command(tmp_path, monkeypatch, capfd)

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,11 @@ def test_interrupt_leaves_finished_rows_and_says_how_to_continue(railstate: Comm
                                stderr=subprocess.PIPE, text=True)
     while not list((railstate.folder / "out" / "rows").glob("*.parquet")):
         time.sleep(0.02)
-    os.kill(process.pid, signal.SIGINT)
+    for _ in range(3):  # as a user would: what lands in a callback of the compiler is lost
+        os.kill(process.pid, signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=2)
+            break
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "interrupted" in err and "continues" in err and "Traceback" not in err

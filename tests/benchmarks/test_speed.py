@@ -44,6 +44,7 @@ def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(start, "QUICK", (("--version",),))
     monkeypatch.setattr(start, "SETTINGS", ())
     monkeypatch.setattr(start, "RUNS", 4)
+    monkeypatch.setenv("COLUMNS", "120")
     lines = railstate("timing", "--only", "start", "--repeats", 1).out.splitlines()
     found = [line.split() for line in lines if line.startswith("railstate")]
     assert [" ".join(words[1:-1]) for words in found] == ["--version", *(
