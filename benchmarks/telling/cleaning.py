@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Controls (C0 but tab and newline, C1), what turns the direction of writing, lines that are none, half letters."""
-_FORMULA = re.compile(r"[=+@\t\r-]")
+_FORMULA = re.compile(r"[=+@\t\r-].")
 _TAG = re.compile(r"<(?=[A-Za-z/!?])")
 _ACCENTS = dict(zip("\u0300\u0301\u0302\u0303\u0304\u0306\u0307\u0308\u030a\u030b\u030c\u0327\u0328", "`'^~=u.\"rHvck",
                     strict=True))

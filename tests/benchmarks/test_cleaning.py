@@ -47,7 +47,7 @@ def test_csv_holds_no_formula_and_the_same_numbers() -> None:
     assert [row["label"] for row in read] == ["'=cmd()", "+1", "'-x", "'@a", "ekf"]
     plain = list(csv.DictReader(io.StringIO(frame.to_csv(index=False))))
     assert [row["value"] for row in read] == [row["value"] for row in plain]
-    assert [row["mixed"] for row in read] == ["-3", "-3", "True", "", "'-"]
+    assert [row["mixed"] for row in read] == ["-3", "-3", "True", "", "-"]  # a dash alone computes nothing
 
 
 def test_nothing_steers_any_output(railstate: Command) -> None:
