@@ -175,7 +175,12 @@ def curves(cell: CellResults, ranking: Ranking) -> tuple[str, int]:
         steps = " ".join(f"{a} {b}" for a, b in np.diff(points, axis=0).tolist()).replace(" -", "-")
         return f"M{points[0, 0]} {points[0, 1]}l{steps or '0 0'}"
 
-    panels = []
+    frame = (f'<g id="{name}-x"><path class="g" d="M0 0V{tall:g}H{wide:g}"/>'
+             f'<text class="t" x="-3" y="7" text-anchor="end">{tick_text(float(f"{scale.high:.2g}"))}</text>'
+             f'<text class="t" x="-3" y="{tall:g}" text-anchor="end">{tick_text(float(f"{scale.low:.2g}"))}</text>'
+             f'<text class="t" x="{wide:g}" y="{tall + 12:g}" text-anchor="end">'
+             f'{tick_text(float(f"{end:.3g}"))} s</text></g>')
+    panels: list[str] = []
     for line in ranking.lines:
         label = str(line["estimator"])
         if label not in found:
@@ -189,12 +194,7 @@ def curves(cell: CellResults, ranking: Ranking) -> tuple[str, int]:
             f'height="{tall + 32:.0f}" role="img" aria-label="{escape(label)}, error over time" '
             f'data-entry="{escape(label)}">'
             f'<text x="0" y="-5">{mark(line).sign} {escape(label)}</text>'
-            f'<path class="g" d="M0 0V{tall:g}H{wide:g}"/>'
-            f'<text class="t" x="-3" y="7" text-anchor="end">{tick_text(float(f"{scale.high:.2g}"))}</text>'
-            f'<text class="t" x="-3" y="{tall:g}" text-anchor="end">{tick_text(float(f"{scale.low:.2g}"))}</text>'
-            f'<text class="t" x="{wide:g}" y="{tall + 12:g}" text-anchor="end">'
-            f'{tick_text(float(f"{end:.3g}"))} s</text>'
-            f"{behind}{own}</svg>")
+            f'{frame if not panels else f"""<use href="#{name}-x"/>"""}{behind}{own}</svg>')
     axes = (f'data-x0="{begin:.6g}" data-x1="{end:.6g}" data-y0="{scale.low:.6g}" data-y1="{scale.high:.6g}" '
             f'data-log="{int(scale.log)}"')
     return f'<div class="panels" {axes}>{"".join(panels)}</div>', len(panels)
