@@ -128,11 +128,10 @@ class Loop:
         self.seconds += perf_counter() - begun
 
     def _estimate(self) -> Estimate:
-        estimate, own = self.estimator.estimate(), self.own
-        return estimate if own is None or len(estimate.mean) <= own else cut(estimate, own)
+        return self._cut(self.estimator.estimate())
 
     def _cut(self, estimate: Estimate) -> Estimate:
-        return estimate if self.own is None else cut(estimate, self.own)
+        return estimate if self.own is None or len(estimate.mean) <= self.own else cut(estimate, self.own)
 
     def _arriving(self, step: Step, event: Event, number: int, gone: PerRun,
                   listens: Mask | None) -> Sequence[Measurement]:
