@@ -72,7 +72,8 @@ def _room(cell: Published) -> float:
 def together(trial: Trial, cells: Sequence[Published], found: Sequence[Found | None]) -> Judged | None:
     """Whether one run can have given all these numbers: the share of our runs, rounded as printed, that lie as far out
     as the print (Mahalanobis distance, the print pooled with the runs: an exact test for equals). None where the
-    numbers are not of the same runs."""
+    numbers are not of the same runs. Undecided where no print could be rejected: the farthest of n runs and the print
+    is the print in one of n + 1 studies of equals."""
     values = [one.runs for one in found if one is not None and one.runs is not None]
     if len(values) < 2 or len(values) < len(found) or len({len(v) for v in values}) > 1:
         return None
@@ -82,7 +83,8 @@ def together(trial: Trial, cells: Sequence[Published], found: Sequence[Found | N
     n = runs.shape[1]
     beyond = int(np.sum(_farther(np.rint(runs), np.rint(printed))))
     least, most = binomtest(beyond, n).proportion_ci(0.95, "wilson")
-    word: Word = "undecided" if least <= LEVEL <= most else (cells[0].agrees if least > LEVEL else "not reproduced")
+    blind = 1 / (n + 1) > LEVEL or least <= LEVEL <= most
+    word: Word = "undecided" if blind else cells[0].agrees if least > LEVEL else "not reproduced"
     return Judged(beyond / n, float(np.sqrt(beyond * (n - beyond) / n**3)), LEVEL, 1.0, word)
 
 

@@ -93,6 +93,10 @@ def test_numbers_of_one_run_are_tested_together() -> None:
     broken = together(trial, [cells[0], cell(published=19.5, trials=1)], found)
     assert broken and broken.verdict == "not reproduced" and broken.value == 0
     assert together(trial, cells, [found[0], Found(20.0)]) is None  # an exact number is of no run
+    few = [Found(10, 0, 1, size[:18]), Found(20, 0, 2, 2 * size[:18])]
+    for published in (21.0, 19.5):
+        judged = together(trial, [cells[0], cell(published=published, trials=1, agrees="fitted")], few)
+        assert judged and judged.verdict == "undecided"  # the least share of 18 runs and the print is 1 / 19
     below = 0
     for seed in range(200):
         runs = np.random.default_rng(seed).normal(size=(3, 61))
