@@ -7,6 +7,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,10 +85,33 @@ def _alone(found: Read, variant: str, above: Read, chain: tuple[str, ...]) -> li
                          f"{', '.join(named)}")
     out = []
     for layer in layers:
-        table = {key: value for key, value in layer.table.items() if key not in ("variants", "base")}
-        whole = merge(table, variants_of(layer).get(variant, {}))
-        out.append(layer._replace(table={key: value for key, value in whole.items() if key != "default"}))
+        whole = _without(layer.table, "variants", "base")
+        for one in lineage(variant, layers):
+            whole = _over(whole, _without(variants_of(layer).get(one, {}), "base"))
+        out.append(layer._replace(table=_without(whole, "default")))
     return out
+
+
+def _without(table: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in keys}
+
+
+def lineage(variant: str, layers: tuple[Read, ...]) -> tuple[str, ...]:
+    """A variant behind those that it is laid over by a `base` of its own, another variant of the file: the lowest
+    first. Raises InputError, also where bases lead back to themselves."""
+    found: list[str] = [variant]
+    while True:
+        said = [one["base"] for layer in layers if "base" in (one := variants_of(layer).get(found[0], {}))]
+        if not said:
+            return tuple(found)
+        where = f"{layers[-1].where}: variants.{found[0]}: base"
+        if not any(said[-1] in variants_of(layer) for layer in layers if isinstance(said[-1], str)):
+            known = dict.fromkeys(name for layer in layers for name in variants_of(layer))
+            raise InputError(f"{where}: must be another variant of this scenario (got {said[-1]!r}); allowed: "
+                             f"{', '.join(name for name in known if name not in found)}")
+        if said[-1] in found:
+            raise InputError(f"{where}: leads back to itself: {' -> '.join([*found[::-1], said[-1]])}")
+        found.insert(0, said[-1])
 
 
 def variants_of(found: Read) -> dict[str, dict[str, Any]]:
@@ -113,15 +137,16 @@ def joined(layers: tuple[Read, ...]) -> tuple[dict[str, Any], dict[str, dict[str
         if isinstance(fitted, list):
             base["fitted"] = [key for key in fitted if not _within(str(key), anew)]
         base.pop("name", None)
-        base = merge(base, {key: value for key, value in layer.table.items() if key not in ("variants", "base")})
+        base = merge(base, _without(layer.table, "variants", "base"))
         for variant, changes in variants_of(layer).items():
-            named[variant] = _over(named.get(variant, {}), changes)
-    return base, named or {"default": {}}
+            named[variant] = _over(named.get(variant, {}), _without(changes, "base"))
+    return base, {variant: reduce(_over, (named[one] for one in lineage(variant, layers)))
+                  for variant in named} or {"default": {}}
 
 
 def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """The changes of a variant over those of the same variant in a base: what both say of [[faults]] by name stays
-    that, since the entries meant stand in the table under both."""
+    """The changes of a variant over those of its base, or over its own in a base of the file: what both say of
+    [[faults]] by name stays that, since the entries meant stand in the table under both."""
     faults, changed = below.get("faults", {}), above.get("faults")
     if not isinstance(faults, dict) or not isinstance(changed, dict):
         return merge(below, above)
@@ -148,7 +173,7 @@ def _leaves(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any
 
 def comes_from(key: str, layers: tuple[Read, ...], variant: str = "") -> tuple[str, str]:
     """Which file says a key, and in which of its variants ("": in none); empty where none does."""
-    for named in (variant, "") if variant else ("",):
+    for named in (*lineage(variant, layers)[::-1], "") if variant else ("",):
         for layer in reversed(layers):
             table = variants_of(layer).get(named, {}) if named else layer.table
             if any(_within(key, [there]) or _within(there, [key]) for there, _ in _leaves(table)):

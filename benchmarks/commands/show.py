@@ -23,7 +23,7 @@ from ..telling.console import print_table, wrapped
 from .options import Sets, overrides
 
 BASE = "what it inherits: a built-in scenario, NAME/VARIANT (that variant alone), or the path of a TOML file"
-VARIANTS = "named overrides of the tables; the first is the default"
+VARIANTS = "named overrides of the tables, one with a `base` over those of another variant; the first is the default"
 
 
 def list_() -> None:

@@ -193,7 +193,38 @@ def test_bases_are_files_variants_and_bases_of_bases(railstate: Command) -> None
     assert not load("metro.toml").requested
 
 
+def test_a_variant_over_another_is_as_if_it_were_written_out(railstate: Command) -> None:
+    """Whole tables compared, through a file above and by name; what comes from where is shown."""
+    Path("own.toml").write_text('''name = "own"
+base = "ningbo-metro"
+[variants.quiet]
+base = "fault-outliers-05"
+title = "Less of it"
+faults = { outliers = { share = 0.01 } }
+[variants.later]
+base = "late-random"
+default = true
+''')
+    own, metro = load("own.toml"), load("ningbo-metro")
+    fault, quiet, later = (own.variants[name] for name in ("fault-outliers-05", "quiet", "later"))
+    assert fault == own.variants["gaussian"] | {key: fault[key] for key in ("title", "default", "faults")}
+    assert quiet == fault | {"title": "Less of it", "faults": [fault["faults"][0] | {"share": 0.01}]}
+    assert later == own.variants["late-random"] | {"default": True} and "quiet" in own.requested - {"later"}
+    assert later["channel"]["steps"] == [1, 5] and later["estimators"]["ekf-rewind"]["default"]
+    Path("above.toml").write_text('name = "above"\nbase = "own.toml/quiet"\n')
+    alone = load("above.toml").variants["default"]
+    assert alone["faults"] == quiet["faults"] and alone["estimators"] == quiet["estimators"]
+    assert metro.variants["fault-outliers-05"]["estimators"]["ekf-tuned"]["tuned"]["variant"] == "gaussian"
+    lines = {line.split()[0]: line for line in railstate("show", "own.toml/quiet").out.splitlines() if line.strip()}
+    assert "ningbo-metro/g" in lines["sensors.noise"]
+
+
 @pytest.mark.parametrize(("text", "expected"), [
+    ('name = "a"\nbase = "cart.toml"\n[variants.rough]\nbase = "calmer"\n',
+     'a.toml: variants.rough: base: must be another variant of this scenario (got \'calmer\'); allowed: calm'),
+    ('name = "a"\nbase = "cart.toml"\n[variants.calm]\nbase = "rough"\n[variants.rough]\nbase = "calm"\n',
+     "a.toml: variants.rough: base: leads back to itself: calm -> rough -> calm"),
+    ('name = "a"\nbase = "cart.toml"\n[variants.calm]\nbase = 3\n', "variants.calm: base: must be another variant"),
     ('name = "a"\nbase = "ningbo"\n', 'a.toml: base: ningbo: no such scenario and no such file'),
     ('name = "a"\nbase = "ningbo-metro/whit"\n', 'a.toml: base: ningbo-metro has no variant "whit"; allowed: '),
     ('name = "a"\nbase = 3\n', "a.toml: base: must be a scenario's name, NAME/VARIANT or the path"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from railstate.estimators.registry import estimator_class
 from railstate.scenarios.files import load
+from railstate.scenarios.inheritance import lineage
 from railstate.scenarios.registry import scenario_files
 
 SCENARIOS = sorted(scenario_files())
@@ -14,11 +15,10 @@ MODELS = {"model", "motion", "shortfall"}
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_no_default_table_in_which_a_family_has_no_tuned_or_matched_entry(name: str) -> None:
-    """Tuned: its numbers were searched. Matched: it is told the numbers that the scenario tells, none of its own."""
+    """Tuned: its numbers were searched. Matched: it is told the numbers that the scenario tells, none of its own. In
+    every variant, those on request too."""
     scenario = load(name)
     for variant in scenario.variants:
-        if variant in scenario.requested:
-            continue
         fair: dict[str, bool] = {}
         for label, entry in scenario.setting(variant).config.estimators.items():
             if entry.default:
@@ -49,10 +49,22 @@ def test_a_tuned_entry_tells_where_it_comes_from(name: str) -> None:
             assert ratio < 1.0001, (variant, label)
 
 
-def test_every_default_variant_of_the_metro_has_numbers_of_its_own() -> None:
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_tuned_entries_are_those_of_the_variant_or_of_what_it_is_laid_over(name: str) -> None:
+    """Of a variant that runs by default: its own, or those of one with the same truth and knowledge. Of one on
+    request: also those of the variants that it is laid over, the file's first where it names none."""
+    scenario = load(name)
+    for variant in scenario.variants:
+        alike = {other for other in scenario.variants if scenario.content_hash(other) == scenario.content_hash(variant)}
+        above = lineage(variant, scenario.layers)[:-1] or (scenario.default,)
+        allowed = alike.union(above if variant in scenario.requested else ())
+        for label, entry in scenario.setting(variant).config.estimators.items():
+            assert entry.tuned is None or entry.tuned.variant in allowed, (variant, label, entry.tuned)
+
+
+def test_the_metro_is_tuned_anew_wherever_its_noise_is_another() -> None:
     scenario = load("ningbo-metro")
     for variant in scenario.variants:
-        if variant not in scenario.requested:
-            tuned = {label: entry.tuned for label, entry in scenario.setting(variant).config.estimators.items()
-                     if entry.tuned is not None}
-            assert len(tuned) == 5 and {record.variant for record in tuned.values()} == {variant}
+        records = [entry.tuned for entry in scenario.setting(variant).config.estimators.values() if entry.tuned]
+        noise = variant if variant not in scenario.requested else "switching" if variant == "whole-line" else "gaussian"
+        assert len(records) == 5 and {record.variant for record in records} == {noise}, variant
