@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -44,3 +45,15 @@ def test_the_wheel_installed_elsewhere_runs_a_scenario(tmp_path: Path) -> None:
         done = fresh.run("railstate", *words)
         assert done.returncode == 0, f"{words}\n{done.stdout}{done.stderr}"
     assert (tmp_path / "out" / "report.html").stat().st_size > 20_000
+
+
+CHANGED = {
+    "Canvas", "Column", "Event(slots=True)", "Found", "Particle", "Readings", "Section", "Step(slots=True)", "Table",
+    "Variant", "Verified", "_Entry", "_Event", "_Past", "_Path", "_Text"}
+"""Dataclasses that are changed in place, or made too often to be frozen."""
+
+
+def test_a_dataclass_is_a_value_unless_it_is_said_here() -> None:
+    found = [name + how for package in PACKAGES for path in (ROOT / package).rglob("*.py") for how, name in re.findall(
+        r"^@dataclass(.*)\nclass (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)]
+    assert len(found) > 100 and {one for one in found if "frozen=True" not in one} == CHANGED

@@ -144,8 +144,7 @@ def _simulate(period, parts, forces, inertia, mass, fastest, slope, stops, edge,
                     borne, now = held(share, bearing, sliding[j], law)
                     sliding[j] = now
                     total += 4.0 * borne
-                    w[j] = slip(w[j], now, borne if share != 0.0 else 0.0, bearing, v, friction,
-                                strength[j, where, r], phase[j, r], t, h, law)
+                    w[j] = slip(w[j], now, borne, bearing, v, friction, strength[j, where, r], phase[j, r], t, h, law)
                     slides[j, r] += h if now else 0.0
                 a = total / inertia - steep - resist
                 after = max(v + a * h, 0.0)

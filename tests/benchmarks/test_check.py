@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from railstate.benchmarks.conformance import check
+from railstate.benchmarks.conformance import check, tapes
 from railstate.benchmarks.conformance.rules import RULES
+from railstate.estimators.baselines import Direct
 from railstate.estimators.registry import estimators
 
 from ..conftest import Command
@@ -91,11 +92,20 @@ def test_every_built_in_keeps_every_rule(name: str) -> None:
     if name in LOSE_WHAT_IS_SINGULAR:
         assert [(found.rule, found.case) for found in report.findings] == [("valid data", "braking-rate/paper")]
         return
-    assert report.findings == []
+    assert report.findings == [] and "scenarios" not in report.left_out
+    assert ("telling model" in report.kept) == ("covariance" in estimators()[name].honours)
     everywhere = [rule.name for rule in RULES[:-1]]  # parts of a step are tried on the small model
     assert report.kept and all(kept[:len(everywhere)] == everywhere for kept in report.kept.values())
     if name in ("kalman", "ekf", "ukf", "ckf", "particle", "dead-reckoning", "robust-mean-square"):
         assert "parts of a step" in report.kept["small model"]
+
+
+def test_what_no_scenario_gives_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tapes, "scenario_files", lambda: ("rap-example-1",))  # it has no modes
+    monkeypatch.setattr(Direct, "needs", ("linear", "modes"))
+    report = check(Direct, "direct", {})
+    assert report.left_out == {"scenarios": "no built-in scenario gives what it needs"} and not report.findings
+    assert set(report.kept) == {"small model", "telling model"}
 
 
 def test_every_rule_has_a_broken_plug_in() -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from railstate.benchmarks import cli
 from railstate.benchmarks.store.folder import Store
 from railstate.scenarios import registry
 from railstate.scenarios.linear import LinearSystem
@@ -243,3 +244,19 @@ def _above(pid: int) -> list[int]:
         found.append(pid)
         pid = int(parent)
     return found
+
+
+def test_a_fault_of_our_own_is_a_plain_traceback(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody's data stand in it: no box with the values of all variables."""
+    def fails(name: str) -> str:
+        secret = "do not show " * 3
+        raise ArithmeticError(f"of our own {len(secret)}")
+
+    monkeypatch.setattr(cli, "version", fails)
+    monkeypatch.setattr(sys, "excepthook", sys.__excepthook__)
+    with pytest.raises(ArithmeticError) as caught:
+        railstate("--version")
+    sys.excepthook(caught.type, caught.value, caught.tb)
+    said = railstate.capfd.readouterr().err
+    assert said.startswith("Traceback (most recent call last):\n") and said.endswith("ArithmeticError: of our own 36\n")
+    assert "do not show do not show" not in said

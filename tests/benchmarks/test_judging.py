@@ -214,6 +214,13 @@ def test_shares(rng: np.random.Generator) -> None:
     assert np.isnan(st.share([]).value)
 
 
+def test_pooled_rmse_of_few_runs() -> None:
+    assert st.pooled_rmse([3.0, 4.0, np.nan]) == pytest.approx((12.5**0.5, 3.5 / (2 * 12.5**0.5)))
+    assert st.pooled_rmse([0.0, 0.0]) == (0.0, 0.0)
+    for one, expected in (([2.0], (2.0, np.nan)), ([0.0], (0.0, np.nan)), ([], (np.nan, np.nan))):
+        np.testing.assert_array_equal(st.pooled_rmse(one), expected)
+
+
 def test_requirements_are_met_not_met_or_undecided() -> None:
     assert claims.requirement(np.ones(72), 0.95).verdict == "undecided"
     assert claims.requirement(np.ones(72), 0.95).deciding == 73

@@ -72,7 +72,12 @@ def test_the_command_tunes_on_runs_of_its_own_and_writes_an_entry(railstate):
     assert entry["plugin"] == "ekf" and 0.04 < entry["knowledge"]["sigma_w"] < 0.3
     origin = written["origin"]["estimators.ekf-naive-tuned"]
     assert origin.startswith("tuned: railstate tune ningbo-metro/white") and "12 evaluations" in origin
-    assert "train" in found.out and "test" in found.out
+    told, lines = json.loads((railstate.folder / "tuned.json").read_text()), found.out.splitlines()
+    both = ("train", "test")
+    for which in ("untuned", "tuned"):
+        sides = [[told[side][which][name][0] for name in ("objective", "standard_errors")] for side in both]
+        words_of = next(line for line in lines if line.startswith(f"{which} "))
+        assert " ".join(words_of.split()) == " ".join([which, *(f"{v:.5g} ± {1.96 * sd:.2g}" for v, sd in sides)])
     again = railstate(*words)
     assert again.out == found.out
     for wrong, message in (
@@ -85,6 +90,11 @@ def test_the_command_tunes_on_runs_of_its_own_and_writes_an_entry(railstate):
         refused = railstate(*bad)
         assert refused.code == 2 and message in refused.err
     assert np.isfinite(entry["knowledge"]["sigma_w"])
+
+
+def test_what_is_not_said_is_the_usual(railstate):
+    refused = railstate("tune", "nowhere", "--estimator", "ekf", "--over", "knowledge.p=0..1", "--objective", "rmse:x")
+    assert refused.code == 2 and refused.err.startswith("error: nowhere: "), refused.err
 
 
 def test_a_recorded_trip_is_tuned_on_by_likelihood_and_another_is_shown(railstate):

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter as FilterpyKalman
 from pykalman import KalmanFilter as PykalmanFilter
-from railstate.estimators.adapters import PerRun, PerRunStep
+from railstate.estimators.adapters import PerRun, PerRunStep, RunModel
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.kalman import ExtendedKalman, Kalman
 from railstate.estimators.reference.filterpy import FilterpyCubature, FilterpyExtended, FilterpyUnscented
 from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import told, untold
 from railstate.scenarios.randomness import Streams
 from stonesoup.models.control.linear import LinearControlModel
 from stonesoup.models.measurement.linear import LinearGaussian
@@ -256,3 +257,45 @@ def test_a_missing_part_of_the_design_model_is_named() -> None:
 def test_filterpy_parameters_are_checked() -> None:
     with pytest.raises(ValueError, match="always redraws"):
         FilterpyUnscented({"redraw": False})
+
+
+def test_between_a_step_and_its_measurement_the_prediction_stands() -> None:
+    model = models.linear(2, correlated=True)
+
+    class Kept(PerRunStep):
+        claims = ("covariance",)
+
+        def make(self, model):
+            return lambda y, u: (model.x0, model.P0)
+
+    estimator, u = Kept(), np.array([[0.3, -0.2]])
+    estimator.start(model, 2, models.random(2))
+    estimator.predict(u, whole(0))
+    F, Q = model.linear.A(0), model.linear.Q(0)
+    found = estimator.estimate()
+    np.testing.assert_allclose(found.mean, model.transition(model.initial_mean, u, whole(0)), rtol=1e-12)
+    for run in range(2):
+        np.testing.assert_allclose(found.covariance[:, :, run], F @ model.initial_covariance[:, :, 0] @ F.T + Q,
+                                   rtol=1e-12)
+
+
+def test_a_run_s_model_before_anything_has_happened() -> None:
+    """`make` may ask it: over the first interval, and for the R of a measurement that tells nothing."""
+    model, u = models.coasting(2), np.array([0.4])
+    one = RunModel(model, 1, models.random(2))
+    assert one.interval == whole(0, model.period) and one.step == 0
+    first = model.transition(model.initial_mean[:, 1:], u[:, None], whole(0, model.period))
+    np.testing.assert_array_equal(one.f(one.x0, u), first[:, 0])
+    np.testing.assert_array_equal(one.R, model.measurement_covariance(untold(0, model.ny))[:, :, 0])
+    asked = untold(3, 2)
+    assert asked.y.shape == asked.received.shape == (2, 1) and asked.received.all() and asked[2:] == (3, 0, 0.0, None)
+
+
+def test_what_sensors_tell_and_a_mode_inflates() -> None:
+    own = np.diag([1.0, 4.0])[:, :, None]
+    said = np.array([[9.0, np.nan], [np.nan, np.nan]])[:, :, None]
+    for inflate in (1.0, 3.0):
+        noise = told(lambda k: own * k, inflate)
+        np.testing.assert_array_equal(noise(untold(2, 2)), inflate * 2 * own)
+        np.testing.assert_array_equal(noise(untold(2, 2)._replace(covariance=said)),
+                                      inflate * np.array([[9.0, 0.0], [0.0, 8.0]])[:, :, None])

@@ -22,7 +22,7 @@ from railstate.scenarios.model import DesignModel, Mode, Modes
 from railstate.scenarios.randomness import Streams
 from scipy.stats import chi2
 
-from ..models import heard, whole
+from ..models import coasting, heard, whole
 from ..recordings import METRO, write_examples
 
 GATE = {"gate": ["gnss"], "level": 0.4, "after": 3.0}
@@ -226,3 +226,15 @@ def test_relocation_takes_over_what_is_measured() -> None:
         assert estimator.estimate().covariance[0, 0, run] == pytest.approx(claim + (0.00577 * counted) ** 2)
     with pytest.raises(Unsupported, match="not among"):
         Relocation({"by": ["beacon"]}).design(model)
+
+
+def test_a_chain_without_a_root_is_no_estimator_at_all() -> None:
+    model = coasting(2)
+
+    def turning(stay: float) -> DesignModel:
+        chain = np.array([[stay, 1 - stay], [1 - stay, stay]])
+        return replace(model, modes=Modes((Mode("a", model), Mode("b", model)), np.array([0.5, 0.5]), chain))
+
+    assert InteractingModels().design(turning(0.6)) == {"modes": 2}
+    with pytest.raises(Unsupported, match="has no powers that are transition matrices"):
+        InteractingModels().design(turning(0.4))

@@ -7,7 +7,9 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from railstate.scenarios.channels import Channel, Sent
 from railstate.scenarios.files import load
+from railstate.scenarios.model import Reception
 from railstate.scenarios.randomness import Streams
+from railstate.scenarios.schema import Empty
 
 
 def channel(**table):
@@ -171,3 +173,33 @@ def test_what_breaks_a_claim_says_so():
     for table in ({"kind": "ideal"}, {"kind": "delay", "steps": 0}, {"kind": "bernoulli", "p": 0.5},
                   {"kind": "gilbert-elliott", "p_good_bad": 0.1, "p_bad_good": 0.4}):
         assert not channel(**table).reception().breaks
+
+
+def test_what_is_known_of_the_usual_channels():
+    """The whole of it: an ideal channel delivers for certain, and nobody is late."""
+    assert channel(kind="ideal").reception() == Reception(1.0, 1.0, (), (), None, "", "")
+    assert channel(kind="bernoulli", p=0.7).reception() == Reception(0.7, 0.7)
+    metro = load("ningbo-metro").setting("switching")
+    assert metro.uncertified == {}
+    metro.config = metro.config.model_copy(update={"channel": Empty()})  # a setting of somebody's without a channel
+    assert metro.uncertified == {}
+    assert set(load("ningbo-metro", {"channel": {"kind": "delay", "steps": 2}}).setting("switching").uncertified) == {
+        "guarantee", "as-new"}
+
+
+class Drawn:
+    """Draws that are all the same."""
+
+    runs = (0, 1)
+
+    def __init__(self, value):
+        self.value = value
+
+    def uniform(self, low, high, *shape):
+        return np.full((*shape, 2), low + (high - low) * self.value)
+
+
+@pytest.mark.parametrize(("p", "draw", "arrives"), [(1.0, 1 - 2**-53, True), (0.5, 0.5, False),
+                                                    (0.5, 0.5 - 2**-53, True)])
+def test_a_packet_arrives_with_just_the_probability_it_says(p, draw, arrives):
+    assert (channel(kind="bernoulli", p=p).draw(Drawn(draw), 3, 2) == arrives).all()

@@ -217,3 +217,35 @@ def test_units_and_names_are_the_files():
     plant = setting(plant__states=["position", "speed"], plant__units=["m", "m/s"])
     assert [(q.name, q.unit) for q in plant.quantities()] == [("position", "m"), ("speed", "m/s")]
     assert plant.design_model({}, np.zeros((2, 1))).states == ("position", "speed")
+
+
+@pytest.mark.parametrize(("index", "shift"), [("departure", 0), ("arrival", 1)])
+def test_the_truth_is_a_loop_over_the_streams_by_their_names(index, shift):
+    found, again = (Streams(9, "trial", "default", range(3)) for _ in range(2))
+    varying = [[0.3, 0.1, 0.0], [0.1, 0.2, 0.0], [0.0, 0.0, "0.4 + 0.1*k"]]
+    world, motion = setting(plant__index=index, plant__R=varying).world(found), again("truth")
+    plant = TABLE["plant"] | {"R": varying}
+    A, B, C, Q, R, P0 = (at_step(plant[name]) for name in ("A", "B", "C", "Q", "R", "P0"))
+    root = {name: (lambda k, M=M: (lambda d, v: v @ np.diag(np.sqrt(d)) @ v.T)(*np.linalg.eigh(M(k))))
+            for name, M in (("Q", Q), ("R", R), ("P0", P0))}
+    x = np.array(TABLE["plant"]["x0"])[:, None] + root["P0"](0) @ motion.normal(2)
+    w, v = motion.normal(6, 2), again("measurement").normal(6, 3)
+    for k in range(6):
+        x = A(k + shift) @ x + B(k + shift) @ root["Q"](k + shift) @ w[k]
+        np.testing.assert_allclose(world.truth[k], x, rtol=1e-12)
+        np.testing.assert_allclose(world.y[k], C(k + 1) @ x + root["R"](k + 1) @ v[k], rtol=1e-12)
+
+
+def test_extra_states_have_the_plants_own_numbers():
+    """A disturbance for each column of B, a bias for each sensor, both as large as the noise of the first step."""
+    extras, B = setting().extras({}), at_step(TABLE["plant"]["B"])
+    assert [(one.name, one.kind, one.sd, one.instead, one.time_constant) for one in extras["disturbance"]] == [
+        ("w1", "gauss-markov", math.sqrt(0.5), 1.0, 10.0), ("w2", "gauss-markov", math.sqrt(0.4), 1.0, 10.0)]
+    for j, one in enumerate(extras["disturbance"]):
+        assert one.gain is not None
+        for k in range(3):
+            np.testing.assert_array_equal(one.gain(whole(k)), B(k)[:, [j]])
+    assert [(one.name, one.kind, one.sd, None if one.column is None else one.column.tolist())
+            for one in extras["bias"]] == [("bias 1", "constant", math.sqrt(0.3), [1.0, 0.0, 0.0]),
+                                           ("bias 2", "constant", math.sqrt(0.2), [0.0, 1.0, 0.0]),
+                                           ("bias 3", "constant", math.sqrt(0.4), [0.0, 0.0, 1.0])]

@@ -8,6 +8,7 @@ from railstate.benchmarks.planning.naming import find
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import untold
+from railstate.scenarios.metro.disturbance import _switch, wave
 from railstate.scenarios.randomness import Streams
 
 from ..models import part, whole
@@ -251,3 +252,17 @@ def test_packets_can_be_lost():
 def test_mistakes_are_named(key, value, message):
     with pytest.raises(InputError, match=message):
         load("ningbo-metro", {key: value})
+
+
+def test_a_piece_ends_with_the_step_at_its_end():
+    out = np.empty((7, 2))
+    _switch.py_func(np.array([1.0, -1.0]), np.array([[1.0, 0.5], [0.5, 1.0], [9.0, 9.0]]),
+                    np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]]), 0.5, out)
+    assert out.T.tolist() == [[1, 1, -2, 3, 3, 3, 3], [-1, 2, 2, -3, -3, -3, -3]]
+
+
+def test_a_wave_is_a_sine_of_the_period_and_phase_that_were_drawn():
+    streams, again = (Streams(1, "a", "b", range(3))("truth") for _ in range(2))
+    found = wave(streams, [4.0, 9.0], 50, 0.2)
+    period, phase = again.uniform(4.0, 9.0), again.uniform(0.0, 2 * np.pi)
+    np.testing.assert_allclose(found, np.sin(2 * np.pi * 0.2 * np.arange(1, 51)[:, None] / period + phase), atol=1e-12)

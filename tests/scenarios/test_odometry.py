@@ -31,6 +31,7 @@ def world(variant: str, runs: int | tuple[int, ...] = 100, seed: int = 1, **over
 def quiet_numbers(variant: str, **overrides: object) -> tuple[float, ...]:
     made = world(variant, 1, **overrides)
     last, ride = int(made.ride.duration[0]) - 1, made.ride
+    assert all(flags.dtype == bool for flags in (ride.standing, ride.active, ride.slipping))
     pulse = np.pi * 0.86 / 100
     counts = made.u[:last + 1, 3:5, 0].sum(axis=0) / pulse
     rolled = ride.wheel[last, :, 0] - made.truth[last, 0, 0]

@@ -1,0 +1,147 @@
+"""Whole tables and sentences of hand-made verdict lines, word by word, and where the page's panels draw them.
+
+Every number is written down here; nothing is simulated or judged."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
+from railstate.benchmarks.telling.report import plots
+from railstate.benchmarks.telling.sentences import finding, short_finding
+from railstate.benchmarks.telling.tables import cell_table, outage_tables, window_tables
+
+ABOUT = {"variants": {"v": {"title": "calm", "notes": []}}, "quantities": ["position"],
+         "table": [["rmse", "position"], ["nees", "state"], ["headway", "headway-65"], ["violations", "late"]]}
+
+
+def line(estimator: str, value: float = np.nan, half: float = 0.0, **facts: Any) -> dict[str, Any]:
+    """A line of the verdict table of 40 runs."""
+    nothing = dict.fromkeys(("ratio", "ratio_low", "ratio_high", "efficiency", "floor", "deciding", "won"), np.nan)
+    return {"scenario": "s", "variant": "v", "kind": "error", "metric": "rmse", "quantity": "position", "unit": "m",
+            "shown_unit": "cm", "factor": 100.0, "estimator": estimator, "value": value, "low": value - half,
+            "high": value + half, "runs": 40, "lost": 0, "against": "a", "verdict": "none", "eligible": True,
+            "family": 4, "floor_kind": "", "note": "", **nothing, **facts}
+
+
+def ratio(value: float, low: float, high: float, verdict: str) -> dict[str, Any]:
+    return {"ratio": value, "ratio_low": low, "ratio_high": high, "verdict": verdict}
+
+
+def lost(estimator: str, number: int = 0) -> dict[str, Any]:
+    return line(estimator, number / 40, kind="reliability", metric="lost", quantity="runs", lost=number)
+
+
+A, B, C, D = (
+    line("a", 0.01, 0.0005, **ratio(1.0, 1.0, 1.0, "best"), floor=0.009, efficiency=0.9),
+    line("b", 0.0101, 0.0005, **ratio(1.01, 0.98, 1.05, "undecided"), floor=0.009, efficiency=0.891, deciding=320.0),
+    line("c", 0.0102, 0.0005, **ratio(1.02, 0.97, 1.09, "undecided"), floor=0.0, efficiency=0.0),
+    line("d", 0.02, 0.001, **ratio(2.0, 1.8, 2.2, "worse")))
+E = line("e", runs=0, lost=40, verdict="lost", eligible=False)
+
+
+def cell(*lines: dict[str, Any], timing: dict[str, Any] | None = None) -> Cell:
+    return Cell("s", "v", lines, ABOUT, {}, {}, {}, frozenset(), timing or {})
+
+
+def full() -> Cell:
+    rest = [line("a", 1.03, kind="consistency", metric="nees", quantity="state", verdict="consistent"),
+            line("d", kind="claim", metric="bound", quantity="performance", verdict="kept"),
+            *(line(label, 0.9, 0.05, kind="requirement", metric="kept", quantity="near", verdict="met")
+              for label in "ab"),
+            line("b", 20.0, 0.5, kind="value", metric="headway", quantity="headway-65", shown_unit="s", factor=1.0),
+            *(lost(label, 40 * (label == "e")) for label in "abcde")]
+    return cell(A, B, C, D, E, *rest, timing={label: {"latency_us_median": 12.0} for label in "ade"})
+
+
+def test_a_cell_as_a_table() -> None:
+    """A floor of 0 is no efficiency; who lost every run has no time of a step; what only one entry has is there."""
+    assert cell_table(full()).to_dict("list") == {
+        "entry": list("abcde"),
+        "position": ["best", "undecided", "undecided", "worse", "lost"],
+        "RMSE position [cm]": ["1.000 ± 0.050", "1.010 ± 0.050", "1.020 ± 0.050", "2.00 ± 0.10", ""],
+        "position: ratio": ["1", "1.01 [0.98, 1.05]", "1.02 [0.97, 1.09]", "2.00 [1.80, 2.20]", ""],
+        "position: eff.": ["90.0 %", "89 %", "", "", ""],
+        "claim (ANEES)": ["consistent 1.03", "", "", "", ""],
+        "requirement near": ["met 90.0 % [85.0, 95.0]", "met 90.0 % [85.0, 95.0]", "", "", ""],
+        "headway headway-65 [s]": ["", "20.00 ± 0.50", "", "", ""],
+        "lost": ["", "", "", "", "40 of 40"],
+        "step [µs]": ["12.0", "", "", "12.0", ""],
+        "claim (bound)": ["", "", "", "kept", ""]}
+
+
+def test_errors_by_window_and_by_outage() -> None:
+    manifest = {"scenarios": {"s": {"quantities": ["position"]}}}
+    names = ("position", "position-open", "position-tunnel")
+    table = pd.DataFrame([line(label, value, 0.0012, kind="value", quantity=name) for name, values in zip(
+        names, ((0.1, 0.2), (0.01, 0.02), (0.3, 0.4)), strict=True) for label, value in zip("ab", values, strict=True)])
+    (title, frame), = window_tables(table, manifest)
+    assert title == "s/v: rmse of position [cm] by window"
+    assert frame.to_dict("list") == {"window": ["open", "tunnel"], "a": ["1.00 ± 0.12", "30.00 ± 0.12"],
+                                     "b": ["2.00 ± 0.12", "40.00 ± 0.12"]}
+    assert list(window_tables(table[table["quantity"] != "position-open"], manifest)) == []  # one window is no table
+    rows = pd.DataFrame({"scenario": "s", "variant": "v", "estimator": ["b", "b", "a", "a"],
+                         "begin:outage:s": [90.0, 30.0] * 2, "rmse:position-outage-end:m": [4.0, 3.0, 2.0, 1.0]})
+    (key, frame), = outage_tables(rows)
+    assert (key, frame.to_dict("list")) == ("s/v", {"outage begins [s]": [30.0, 90.0], "b": [3.0, 4.0],
+                                                    "a": [1.0, 2.0]})
+
+
+def test_a_finding_in_short_and_in_full() -> None:
+    made = full()
+    assert short_finding(made, made.rankings[0]) == (
+        "Position: best a; undecided b (+1.0 %, 320 runs), c; worse 1 of 5, d 2.0 times; lost e 40 of 40; floor 0.900 "
+        "cm, best at 90.0 % of it.")
+    assert finding(made, made.rankings[0]) == (
+        "Position: least RMSE 1.000 ± 0.050 cm (a, 40 runs). Undecided: b (+1.0 % [−2.0, +5.0]; about 320 runs would "
+        "decide), c (+2.0 % [−3.0, +9.0]). Worse: 1 of 5, d (2.0 times [1.8, 2.2]). Lost runs: e 40 of 40; ranked "
+        "after every entry that finished. Floor 0.900 cm: a reaches 90.0 %.")
+    none = cell(E, lost("e", 40))
+    assert short_finding(none, none.rankings[0]) == "Position: no entry finished a run."
+
+
+@pytest.mark.parametrize(("facts", "said"), [
+    ({"floor": 0.0105, "efficiency": 1.05}, "Floor 1.05 cm: a reaches 105.0 % (over 100 % by chance)."),
+    ({"floor": 0.0105, "efficiency": 1.05, "floor_kind": "linear optimum"},
+     "Linear optimum 1.05 cm: a reaches 105.0 % (its interval covers it)."),
+    ({"floor": 0.0098, "efficiency": 0.98}, "Floor 0.980 cm: a reaches 98.0 % (its interval covers it)."),
+    ({"floor": 0.005, "efficiency": 0.5, "floor_kind": "linear optimum"}, "Linear optimum 0.500 cm: a reaches 50 %.")])
+def test_how_near_the_best_comes_to_the_floor(facts: dict[str, Any], said: str) -> None:
+    made = cell({**A, **facts}, D, lost("a"), lost("d"))
+    assert finding(made, made.rankings[0]).endswith(f" {said}")
+
+
+def test_a_cell_of_one_entry() -> None:
+    made = cell(A, lost("a"), line("a", 20.0, kind="value", metric="headway", quantity="headway-65", shown_unit="s"))
+    assert cell_table(made).columns.tolist() == ["entry", "position", "RMSE position [cm]", "position: ratio",
+                                                 "position: eff.", "headway headway-65 [s]"]
+    assert [found.key for found in cells_of(pd.DataFrame([A]), {"scenarios": {"s": ABOUT}, "estimators": {}, "replay": {
+        "cells": {"s/v": {"entries": {}, "table": {}}}}})] == ["s/v"]
+
+
+def test_what_the_panels_draw_stands_beside_its_name_and_inside() -> None:
+    """Each entry's sign, value, markers and words on one height in both panels; a margin of 6 % to both sides."""
+    panels = plots.ranked(Ranking.of([A, B, C, D])).split("<svg")[1:]
+    heights = [{round(float(y), 3) for y in found} for found in (
+        [float(y) - 4 for y in re.findall(r'<text y="([\d.]+)">', panels[0])],
+        [float(y) - 4 for y in re.findall(r'<text class="e" x="\d+" y="([\d.]+)">', panels[0])],
+        re.findall(r'<path class="i \w+" d="M[\d.]+ ([\d.]+)H', panels[0]),
+        [float(y) - 4 for y in re.findall(r'<text class="w" x="[\d.]+" y="([\d.]+)">', panels[1])])]
+    rows = {plots.TOP + plots.ROW * (i + 0.5) for i in range(4)}
+    assert heights == [rows] * 4
+    for panel in panels:
+        width, height = map(int, re.search(r'viewBox="0 0 (\d+) (\d+)"', panel).groups())  # type: ignore[union-attr]
+        assert f'width="{width}" height="{height}"' in panel
+        places = re.findall(r'd="M([\d.]+) ([\d.]+)', panel)
+        assert places and all(0 <= float(x) <= width and 0 <= float(y) <= height for x, y in places)
+        texts = [float(text) for text in re.findall(r'<text class="t"[^>]*>([\d.]+)<', panel)]
+        assert 2 <= len(texts) <= 5 and texts == sorted(texts)
+    narrow, wide, one = (plots._scale(values, 4.0) for values in ([2.0, 3.0], [1.0, 10.0], [5.0]))
+    assert (narrow.low, narrow.high, narrow.log) == (pytest.approx(1.94), pytest.approx(3.06), False)
+    assert (wide.low, wide.high, wide.log) == (pytest.approx(10**-0.04), pytest.approx(10**1.04), True)
+    assert (one.low, one.high) == (pytest.approx(4.5), pytest.approx(5.5))
+    assert plots._ticks(narrow) == [2.0, 2.5, 3.0]

@@ -1,0 +1,50 @@
+"""What columns are taken for, which numbers of a message, and times beyond the usual: on tables of a few rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from railstate.scenarios.recorded.columns import Cells, Column
+from railstate.scenarios.recorded.inspecting import suggested
+from railstate.scenarios.recorded.readers import Table
+from railstate.scenarios.recorded.readers.messages import DEEPEST, _numbers
+from railstate.scenarios.recorded.readers.table import table_of
+from railstate.scenarios.recorded.times import seconds
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_stamps_of_the_same_years_are_known_in_every_unit(unit: str, factor: float) -> None:
+    for seconds_, known in ((8e8, True), (3.9e9, True), (4.4e9, False), (5.5e8, False)):  # 1995, 2093; 2109, 1987
+        found = suggested(table_of("t", {"time": factor * (seconds_ + np.arange(3.0)), "s [m]": np.arange(3.0)}, ""))
+        assert found.map == {"time": f"time [{unit if known else 's'}]", "position": "s [m]"}
+        assert found.why == {"time": "supposed by its size" if known or factor * seconds_ > 6e8 else "supposed"}
+
+
+@pytest.mark.parametrize("known", ["s [m]", "s_ref [m]"])
+def test_where_a_position_is_known_fixes_are_no_second_one(known: str) -> None:
+    columns = {"time [s]": np.arange(3.0), "lat": np.full(3, 45.0), "lon": np.full(3, 15.0)}
+    role = "reference_position" if "ref" in known else "position"
+    assert suggested(table_of("t", {**columns, known: np.arange(3.0)}, "")).map == {"time": "time [s]", role: known}
+    assert suggested(table_of("t", columns, "")).map == {"time": "time [s]", "latitude": "lat", "longitude": "lon"}
+
+
+def test_which_numbers_of_a_message_are_taken() -> None:
+    message = {"v": 1, "_own": 2, "header": {"seq": 3}, "valid": True, "text": "4", "list": [5.0],
+               "pose": {"covariance": {"a": 6}, "stamp": 7, "x": 8.5}}
+    assert list(_numbers(message)) == [("v", 1.0), ("pose.x", 8.5)]
+
+    def nested(levels: int) -> Any:
+        return {"a": nested(levels - 1)} if levels else 9.0
+
+    assert list(_numbers(nested(DEEPEST))) == [(".".join("a" * DEEPEST), 9.0)]
+    assert list(_numbers(nested(DEEPEST + 1))) == []
+
+
+def test_dates_that_nanoseconds_cannot_hold_keep_their_distances() -> None:
+    dates = pa.array([32503680000, None, 32503680010], pa.timestamp("s"))  # in the year 3000
+    found, kind = seconds(Table("t", pa.table({"time": dates}), ""), Column("time"), "", Cells())
+    np.testing.assert_array_equal(found, [0.0, np.nan, 10.0])
+    assert kind == "dates and times without zone"
