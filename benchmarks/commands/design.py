@@ -20,7 +20,7 @@ from ...estimators.registry import estimator_class
 from ...estimators.ultimate_bound.decay import trade_off
 from ...estimators.ultimate_bound.estimators import FixedGain
 from ...estimators.ultimate_bound.gains import read_gain
-from ...estimators.ultimate_bound.moments import mean_square
+from ...estimators.ultimate_bound.moments import mean_square, measured_fall
 from ...estimators.ultimate_bound.system import error_system
 from ...scenarios.channels.gilbert_elliott import GilbertElliott
 from ...scenarios.errors import Infeasible, InputError, Unsupported
@@ -28,6 +28,7 @@ from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
+from ...scenarios.world import Trajectory
 from ..isolation.process import IMPORT, Ended
 from ..planning.catalogue import Catalogue
 from ..planning.naming import find_one
@@ -37,6 +38,10 @@ from .options import Estimators, Sets, labels, names_in, overrides
 
 Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
 Delta = Annotated[float | None, typer.Option(help="sqrt(sum delta_i^2) in newtons (the scenario's resistive law).")]
+NONE = "not certified"
+"""Where a bound would stand, of a gain or a design that has no certificate; why stands in its status."""
+FALLING, RUNS = 400, 200
+"""Steps and runs from which is measured how fast the start's error falls."""
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="Built-in name, NAME/VARIANT, or a TOML file.")]
 
 
@@ -86,7 +91,10 @@ def design(
     if not rows and not others:
         raise InputError(f"{name}/{variant}: none of these estimators has anything to design")
     if rows:
-        print_table(f"Designs of {name}/{variant}", pd.DataFrame(rows))
+        entries = setting.config.estimators
+        print_table(f"Designs of {name}/{variant}", pd.DataFrame(rows),
+                    [f"{row['estimator']}: {note}." for row in rows
+                     if row["estimator"] in entries and (note := entries[row["estimator"]].note)])
     for label, other in others.items():
         print_table(f"Design of {label} on {name}/{variant}", pd.DataFrame(
             [{"what": what, "value": value} for what, value in _lines(other)]))
@@ -122,7 +130,7 @@ def certify(
         rows.append({"multipliers": {"scalar": "scalar (Theorem 1)", "free": "free (tighter)"}[multipliers],
                      **found.row})
     print_table(f"Certificates of {gain} on {name}/{variant}", pd.DataFrame(rows))
-    if all(row["bound"] == "none" for row in rows):
+    if all(row["bound"] == NONE for row in rows):
         raise typer.Exit(1)
 
 
@@ -163,20 +171,21 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
         estimator, model = _prepare(setting, name, variant, cls, entry)
         info = estimator.design(model)
     except Unsupported as reason:
-        return _Designed({"bound": "none", "status": f"unsupported: {reason}"})
+        return _Designed({"bound": NONE, "status": f"unsupported: {reason}"})
     except Infeasible as reason:
-        return _Designed({"bound": "none", "status": f"infeasible: {reason}"})
+        return _Designed({"bound": NONE, "status": f"infeasible: {reason}"})
     if "gain" not in info:
         return _Designed({}, other=info)
     bound, seconds = info["bound"], info.get("design_s")
     return _Designed({
-        "bound": "none" if bound is None else f"{bound:.6g}",
+        "bound": NONE if bound is None else f"{bound:.6g}",
+        "status": info["status"],
         "decay theta": f"{info['theta']:.6g}",
         **_exact(model, info["gain"]),
+        **_measured(setting, name, variant, entry, info["gain"]),
         "solver": info.get("solver", ""),
         "seconds": "" if seconds is None else f"{seconds:.2f}",
         "from": "" if seconds is None else "cache" if info["cached"] else "solver",
-        "status": info["status"],
     }, info["gain"])
 
 
@@ -202,13 +211,26 @@ def _exact(model: DesignModel, K: np.ndarray) -> dict[str, str]:
             "long run, forces at their bounds": shown([item.forced for item in found])}
 
 
+def _measured(setting: Setting[Any], name: str, variant: str, entry: EstimatorEntry, K: np.ndarray) -> dict[str, str]:
+    """How fast a gain forgets the start's error in this scenario's own runs, where the start has one."""
+    time = setting.config.time
+    short = type(setting)(setting.config.model_copy(
+        update={"time": time.model_copy(update={"steps": min(time.steps, FALLING)})}))
+    world = short.world(Streams(0, name, variant, tuple(range(RUNS))))
+    if not isinstance(world, Trajectory) or (world.truth[0] == world.initial_mean).all():
+        return {}
+    steps = measured_fall(short.told(entry.knowledge, entry.augment, world.initial_mean), K, world)
+    return {"start's error at 1 %": "not reached" if steps is None else
+            f"after {steps} steps ({0.01 ** (1 / steps):.3f} a step)"}
+
+
 def _designed_apart(setting: Setting[Any], name: str, variant: str, catalogue: Catalogue,
                     entry: EstimatorEntry) -> _Designed:
     """The same of a plug-in, in a process of its own."""
     with catalogue.process(entry.plugin, IMPORT) as process:
         found = process.call(_plain, setting, name, variant, entry)
     if isinstance(found, Ended):
-        return _Designed({"bound": "none", "status": found.reason})
+        return _Designed({"bound": NONE, "status": found.reason})
     return _Designed(found["row"], None if found["gain"] is None else np.array(found["gain"]), found["other"])
 
 
@@ -290,7 +312,7 @@ def _trade_off(setting: Setting[Any], name: str, variant: str, thetas: list[floa
         found = trade_off(error_system(setting.design_model({}, world.initial_mean)), thetas)
     except Unsupported as reason:
         raise InputError(f"{name}/{variant}: {reason}") from None
-    rows = [{"decay theta": f"{theta:g}", "bound": "none", "status": str(item)} if isinstance(item, Infeasible) else
+    rows = [{"decay theta": f"{theta:g}", "bound": NONE, "status": str(item)} if isinstance(item, Infeasible) else
             {"decay theta": f"{theta:g}", "bound": f"{item.bound:.5g}", "status": item.status}
             for theta, item in found]
     print_table(f"Certified bound on E |z~|^2 against decay, {name}/{variant}", pd.DataFrame(rows))

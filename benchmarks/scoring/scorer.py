@@ -104,8 +104,8 @@ class Scorer:
             self.inside += use & (self.form <= 1 + 1e-9)
             self.ellipsoid_steps += use
             for i, w, q, f in zip(self.index, self.weight, self.owner, self.share, strict=True):
-                if i < n:
-                    self.half_width[q] += np.where(use, f * np.sqrt(w * w * np.maximum(estimate.ellipsoid[i, i], 0)), 0)
+                wide = f * np.sqrt(w * w * np.maximum(estimate.ellipsoid[i, i], 0)) if i < n else np.nan
+                self.half_width[q] += np.where(use, wide, 0)
             self.claimed.add("ellipsoid")
         if estimate.bound is not None and self.performance is not None:
             score_bound(vector, truth, self.performance, np.ascontiguousarray(estimate.bound), live, self.bound,
@@ -154,7 +154,7 @@ class Scorer:
                 metrics["inside", "state"] = self.nees_inside / self.nees_steps
             if "ellipsoid" in self.claimed:
                 metrics["coverage", "ellipsoid"] = self.inside / self.ellipsoid_steps
-                for q, item in enumerate(self.quantities):
+                for q, item in enumerate(self.quantities):  # NaN where the set does not speak of it
                     metrics["half-width", item.name] = self.half_width[q] / self.ellipsoid_steps
             if "bound" in self.claimed:
                 metrics["bound", "performance"] = self.bound / self.bound_steps

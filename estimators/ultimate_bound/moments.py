@@ -1,4 +1,4 @@
-"""Exact second moments of a constant gain: how fast they fall, and where they stay.
+"""Second moments of a constant gain: how fast they fall, and where they stay; exact, and measured from a start error.
 
 What a certificate bounds from above, computed for a known reception probability; no solver."""
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Unsupported
+from ...scenarios.model import DesignModel
+from ...scenarios.world import Trajectory
 from .lmi import ErrorSystem
 
 LARGEST = 32
@@ -55,3 +57,22 @@ def mean_square(system: ErrorSystem, K: Array, probability: float | None = None)
         return float(np.trace(system.M @ S @ system.M.T))
 
     return MeanSquare(decay, settled(noise), settled(noise + np.outer(push, push) + cross + cross.T))
+
+
+def measured_fall(model: DesignModel, K: Array, world: Trajectory) -> int | None:
+    """The steps after which a hundredth is left of the start error's E |M e|^2: the mean over a world's runs before
+    each packet, less what stays (the last quarter's mean). None where there is no such fall."""
+    linear, M = model.linear, model.performance
+    assert linear is not None and M is not None
+    A, C, own = linear.A(0), linear.C(0), world.truth.shape[1]
+    correction, mean, squares = np.linalg.solve(A, K), np.array(model.initial_mean), np.empty(world.steps)
+    for k in range(world.steps):
+        if world.lengths[k]:
+            mean = A @ mean + linear.B(0) @ world.u[k] + linear.h(0)[:, None]
+        squares[k] = np.square(M[:, :own] @ (world.truth[k] - mean[:own])).sum(axis=0).mean()
+        mean = mean + correction @ np.where(world.received[k], world.y[k] - C @ mean, 0.0)
+    excess = squares - squares[-(len(squares) // 4):].mean()
+    fallen = np.flatnonzero(excess <= excess[0] / 100)
+    if excess[0] < 0.5 * squares[0] or not fallen.size:
+        return None
+    return int(fallen[0])

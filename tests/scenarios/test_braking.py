@@ -188,7 +188,8 @@ def test_augmented_kalman_is_exact() -> None:
 def test_scenario_has_the_public_names() -> None:
     scenario = load("braking-rate")
     assert tuple(name for name in scenario.variants if name not in scenario.requested) == VARIANTS
-    assert scenario.requested == {"prior-normal", "prior-uniform", "static", "held-noise", "uncertain-start"}
+    assert scenario.requested == {"prior-normal", "prior-uniform", "static", "held-noise", "uncertain-start",
+                                  "stop-prior-normal", "stop-prior-uniform"}
     labels = {"rbpf-static", "rbpf", "rbpf-bootstrap", "sma", "sma-heaviest", "gsma", "gsma-heaviest",
               "gsma-memoryless", "gsma-2000", "imm-uniform", "imm-third", "imm-sticky", "augmented-kalman",
               "kalman-known-f", "ekf", "ukf", "ckf", "sma-sticky", "gsma-sticky", "rbpf-tuned", "sma-tuned",

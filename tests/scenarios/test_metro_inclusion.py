@@ -28,6 +28,7 @@ def test_the_truth_is_always_inside_where_the_bounds_hold(variant):
     assert not scored.status.any()
     assert (scored.metrics["coverage", "ellipsoid"] == 1.0).all()
     assert scored.metrics["half-width", "position"].mean() < 0.75
+    assert np.isnan(scored.metrics["half-width", "speed"]).all()  # of which nothing is claimed
 
 
 def test_a_step_against_a_loop_over_corners_and_readings():
