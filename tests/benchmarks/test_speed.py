@@ -14,6 +14,17 @@ SMALL = {"metro": (metro, {"RUNS": (1, 12), "STEPS": 30}, 2e-8), "cars": (cars, 
          "particles": (particles, {"RUNS": 4, "STEPS": 10, "PEER_STEPS": 10}, 1e-9)}
 
 
+CONTESTS = {
+    "metro": [f"{label} 2 {runs} {peer}" for label in ("ekf", "ukf", "ckf") for runs in (1, 12)
+              for peer in ("filterpy", "written by hand")],
+    "cars": [line for n in (4, 12) for line in (
+        *(f"kalman {n} {runs} {peer}" for runs in (1, 12) for peer in ("filterpy", "simdkalman", "written by hand")),
+        f"ukf {n} 12 written by hand", f"ckf {n} 12 written by hand")],
+    "robust": [f"robust-{kind} 2 5 cvxpy, Clarabel" for kind in ("bounded", "mean-square", "ellipsoid")],
+    "particles": [f"{label}, {form} 4 4 numpy loop over particles" for label in ("rbpf", "sma", "gsma")
+                  for form in ("factorised", "full")]}
+
+
 def test_every_comparison_is_tried() -> None:
     assert [*SMALL, "cluster"] == list(COMPARISONS)
 
@@ -24,7 +35,8 @@ def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPa
     for constant, size in sizes.items():
         monkeypatch.setattr(module, constant, size)
     lines = race(name, 1)
-    assert lines
+    assert [" ".join(line[part] for part in ("estimator", "states", "runs", "peer")) for line in lines] == (
+        CONTESTS[name])
     for line in lines:
         assert float(line["estimates differ by"]) < apart, line
         assert float(line["ns/run-step"]) > 0 and float(line["peer ns/run-step"]) > 0

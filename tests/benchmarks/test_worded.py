@@ -5,13 +5,16 @@ Every number is written down here; nothing is simulated or judged."""
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from railstate.benchmarks.telling.estimators import record
 from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
 from railstate.benchmarks.telling.report import plots
+from railstate.benchmarks.telling.report.tuned import tuned_table
 from railstate.benchmarks.telling.sentences import finding, short_finding
 from railstate.benchmarks.telling.tables import cell_table, outage_tables, window_tables
 
@@ -145,3 +148,31 @@ def test_what_the_panels_draw_stands_beside_its_name_and_inside() -> None:
     assert (wide.low, wide.high, wide.log) == (pytest.approx(10**-0.04), pytest.approx(10**1.04), True)
     assert (one.low, one.high) == (pytest.approx(4.5), pytest.approx(5.5))
     assert plots._ticks(narrow) == [2.0, 2.5, 3.0]
+
+
+def test_what_tuning_gained_as_a_table() -> None:
+    """Train and test of the tuned entry, and what of the gap the entry before had as well."""
+    found = {"a": {"plugin": "ekf", "parameters": {"q": 0.5}, "tuned": {
+        "variant": "v", "untuned": "d", "train": {"rmse:position": (0.008, 0.016), "nees:state": (1.0, 1.0)}}},
+        "d": {"plugin": "ekf", "tuned": {"variant": "another", "untuned": "d", "train": {"rmse:position": (1.0, 1.0)}}}}
+    made = tuned_table([replace(full(), entries=found, origin={"estimators.a": "tuned: by hand"})])
+    assert made is not None and [label for label, _ in made.lines] == ["v"] and made.notes == ["a: tuned: by hand"]
+    assert [head for head, _, _ in made.heads] == ["entry", "was", "differs by", "error", "train", "test",
+                                                   "test over train", "the same, before", "tuning adds"]
+    (_, entries), = made.lines
+    assert [(entry.html, entry.data) for entry in entries] == [
+        ("a", ""), ("d", ""), ("ekf, q = 0.5", ""), ("RMSE position [cm]", ""), ("0.8000", "0.8"),
+        ("1.000 ± 0.050", "1|0.95|1.05"), ("+25.0%", "0.25"), ("+25.0%", "0.25"), ("+0.0%", "0")]
+    assert [right for _, _, right in made.heads] == [entry.right for entry in entries]
+    assert tuned_table([full()]) is None
+
+
+def test_the_record_of_an_estimator_in_words() -> None:
+    plugins = {label: {"plugin": "ekf" if label in "ade" else "other"} for label in "abcde"}
+    assert record("ekf", [replace(full(), entries=plugins)]) == [
+        "Least error, or tied with it, in 1 of 3 rankings: s/v position (a).",
+        "Shown to be worse in 1, at the most 2.00 times the least error: s/v position (d).",
+        "Lost runs in s/v (e, 40 of 40).", "Its claim, by entry and setting: consistent in 1, kept in 1."]
+    assert record("other", [replace(full(), entries=plugins)]) == [
+        "Least error, or tied with it, in 0 of 2 rankings.", "Undecided in 2."]
+    assert record("nobody's", [replace(full(), entries=plugins)]) == []

@@ -18,7 +18,7 @@ from railstate.estimators.reference.filterpy import FilterpyCubature, FilterpyEx
 from railstate.estimators.sigma_point import CubatureKalman, UnscentedKalman
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
-from railstate.scenarios.measurement import told, untold
+from railstate.scenarios.measurement import untold
 from railstate.scenarios.randomness import Streams
 from stonesoup.models.control.linear import LinearControlModel
 from stonesoup.models.measurement.linear import LinearGaussian
@@ -289,13 +289,3 @@ def test_a_run_s_model_before_anything_has_happened() -> None:
     np.testing.assert_array_equal(one.R, model.measurement_covariance(untold(0, model.ny))[:, :, 0])
     asked = untold(3, 2)
     assert asked.y.shape == asked.received.shape == (2, 1) and asked.received.all() and asked[2:] == (3, 0, 0.0, None)
-
-
-def test_what_sensors_tell_and_a_mode_inflates() -> None:
-    own = np.diag([1.0, 4.0])[:, :, None]
-    said = np.array([[9.0, np.nan], [np.nan, np.nan]])[:, :, None]
-    for inflate in (1.0, 3.0):
-        noise = told(lambda k: own * k, inflate)
-        np.testing.assert_array_equal(noise(untold(2, 2)), inflate * 2 * own)
-        np.testing.assert_array_equal(noise(untold(2, 2)._replace(covariance=said)),
-                                      inflate * np.array([[9.0, 0.0], [0.0, 8.0]])[:, :, None])

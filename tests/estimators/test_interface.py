@@ -286,3 +286,9 @@ def test_noise_as_it_is_told_is_inflated_where_asked() -> None:
         np.testing.assert_array_equal(covariance(plain), factor * own)
         np.testing.assert_array_equal(covariance(partly)[:, :, 1], factor * np.diag([1.0, 9.0]))
         np.testing.assert_array_equal(covariance(partly)[:, :, 0], factor * own[:, :, 0])
+
+
+def test_every_parameter_says_what_it_is() -> None:
+    silent = [f"{name}.{key}" for name, cls in estimators().items() for key, told in cls.Parameters.model_fields.items()
+              if not told.description]
+    assert not silent

@@ -16,6 +16,7 @@ from railstate.scenarios.moving_block.control import (
     speed_for_stop,
 )
 from railstate.scenarios.moving_block.track import StadiumTrack
+from railstate.scenarios.randomness import Streams
 
 from ..models import part, whole
 
@@ -192,3 +193,13 @@ def test_authority_ends_at_the_block_of_the_leaders_tail() -> None:
 def test_mistakes_are_named(key: str, value: object, said: str) -> None:
     with pytest.raises(InputError, match=said):
         load("moving-block", {key: value})
+
+
+def test_a_train_that_goes_on_and_on_stays_at_the_last_stop_there_is() -> None:
+    setting = load("moving-block").setting("law-p")
+    world = setting.world(Streams(1, "moving-block", "law-p", range(2)))
+    world.stops = world.stops[:, :2]
+    mean = world.initial_mean
+    for k in range(200):
+        mean = world.step(k, mean).truth
+    np.testing.assert_allclose(np.nanmax(world.extra["s-a"], axis=0), world.stops[0, 1], atol=5e-3)
