@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.running.execute import execute
@@ -85,3 +86,12 @@ def test_with_one_prior_for_all_imm_is_ahead_of_the_appended_state() -> None:
         less = each["imm-sticky"] - each["augmented-kalman"]
         assert least < less.mean() < most, (variant, less.mean())
         assert variant == "paper" or abs(less.mean()) > 3 * less.std() / len(less)**0.5, variant
+
+
+@pytest.mark.long
+def test_the_encoder_s_scale_as_a_state_takes_a_quarter_off_the_error_at_least() -> None:
+    """moving-block/law-r, RMSE over 100 runs."""
+    plan = make_plan(["moving-block/law-r"], only=["ekf", "ekf-scale"])
+    rows = execute(plan.task(plan.cells[0], tuple(plan.cells[0].entries), tuple(range(100)))).rows.to_pandas()
+    found = {label: np.square(part["rmse:x:m"]).mean()**0.5 for label, part in rows.groupby("estimator")}
+    assert found["ekf-scale"] < 0.75 * found["ekf"]
