@@ -108,7 +108,8 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except OSError as error:  # a place that cannot be read or written
-        print(f"error: {error.filename or 'input or output'}: {error.strerror or error}", file=sys.stderr)
+        place = error.filename2 or error.filename or "input or output"
+        print(f"error: {place}: {error.strerror or error}", file=sys.stderr)
         raise SystemExit(2) from None
     except MemoryError as error:
         print(f"error: not enough memory ({error}): fewer steps, or a smaller --batch", file=sys.stderr)

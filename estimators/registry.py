@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import os
 import pickle
 import re
 import sys
@@ -86,8 +87,8 @@ def _unfit(error: BaseException) -> str:
 
 def load_file(path: str) -> dict[str, type[Estimator]]:
     """Register the estimator classes of a loose file. Raises InputError if it does not import or holds none."""
-    file = Path(path).resolve()
-    if not file.is_file():
+    file = Path(os.path.realpath(path))
+    if not os.path.isfile(file):  # also of names that no file can have
         raise InputError(f"{path}: no such file; --plugin takes a Python file with an Estimator class")
     if file.suffix == GIVEN:
         return _load_given(file)
@@ -101,6 +102,8 @@ def load_file(path: str) -> dict[str, type[Estimator]]:
             raise InputError(f"{path}: not a Python file")
         module = importlib.util.module_from_spec(spec)
         sys.modules[module_name] = module
+        if str(file.parent) not in sys.path:  # last: what lies beside it is found, and hides nothing
+            sys.path.append(str(file.parent))
         try:
             spec.loader.exec_module(module)
         except BaseException as error:

@@ -5,7 +5,9 @@ A plug-in that does not import costs a warning with its reason, nothing else."""
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -27,12 +29,13 @@ def load_group(group: str) -> dict[str, Any]:
     warned about, also those that want to end the process."""
     found: dict[str, Any] = {}
     for point in sorted(entry_points(group=group), key=lambda point: (not _own(point), point.name)):
+        sent: list[int] = []
         try:
-            with nullcontext() if _own(point) else _no_exit():
+            with nullcontext() if _own(point) else _no_exit(sent):
                 found.setdefault(point.name, point.load())
-        except KeyboardInterrupt:
-            raise
         except BaseException as error:  # SystemExit too: an import does not end the command
+            if isinstance(error, KeyboardInterrupt) and (sent or _own(point)):
+                raise
             warnings.warn(f"plug-in {point.name} ({point.value}) is left out: {type(error).__name__}: {error}",
                           stacklevel=2)
     return found
@@ -43,18 +46,29 @@ def _own(point: EntryPoint) -> bool:
 
 
 @contextmanager
-def _no_exit() -> Iterator[None]:
-    """`os._exit` raises SystemExit meanwhile."""
-    before = os._exit
+def _no_exit(sent: list[int]) -> Iterator[None]:
+    """`os._exit` raises SystemExit meanwhile; `sent` gets the signals that interrupt, which tells those from a
+    KeyboardInterrupt that somebody raised."""
+    before, usual, main = os._exit, signal.default_int_handler, threading.current_thread() is threading.main_thread()
+    numbers = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+               if main and signal.getsignal(number) is usual]
 
     def leave(status: int) -> NoReturn:
         raise SystemExit(status)
 
+    def interrupt(number: int, frame: Any) -> NoReturn:
+        sent.append(number)
+        raise KeyboardInterrupt
+
     os._exit = leave
+    for number in numbers:
+        signal.signal(number, interrupt)
     try:
         yield
     finally:
         os._exit = before
+        for number in numbers:
+            signal.signal(number, usual)
 
 
 @cache

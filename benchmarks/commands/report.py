@@ -55,8 +55,9 @@ def plot(
 ) -> None:
     """Write the figures as files. Lines differ in dashes and markers as well, so that they survive grey."""
     from ..api.results import load
+    from ..store.folder import within
 
     figures = load(folder).plot(figure, entries=names_in(entries), quantities=names_in(quantities), width=width,
                                 run=run)
-    target = out or str(Path(folder) / "figures")
+    target = out or str(within(Path(folder), "figures"))
     print(f"{len(figures.save(target, format_))} figures in {target}")

@@ -99,7 +99,7 @@ def sweep(
         shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
     names = list(dict.fromkeys(estimator for point in reasons.values() for estimator in point))
     table = pd.concat(summaries, ignore_index=True)
-    told = Sweep(name, list(axes), [list(pair) for pair in _wanted(metric, table) or shown], names, runs, seed,
+    told = Sweep(name, list(axes), _wanted(metric, table) or shown, names, runs, seed,
                  {" | ".join(map(str, point)): why for point, why in reasons.items()}, command)
     Store(folder).write_text(VALUES, csv(table))
     Store(folder).write_text(DESCRIPTION, told.written())

@@ -10,6 +10,7 @@ import os
 import pickle
 import selectors
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -99,7 +100,7 @@ class Isolation:
             self._sockets = nursery.bear()
             if self.first is not None:
                 try:
-                    found = self._exchange(self.first, (), IMPORT)
+                    found = self._exchange(self.first, (), IMPORT, last=False)
                 except InputError as error:
                     found = Ended(Status.failed, str(error))
                 if isinstance(found, Ended):
@@ -107,7 +108,8 @@ class Isolation:
                     return Ended(found.status, f"when it was imported: {found.reason}")
         return self._exchange(function, arguments, self.timeout)
 
-    def _exchange(self, function: Callable[..., Any], arguments: tuple[Any, ...], limit: float) -> Any:
+    def _exchange(self, function: Callable[..., Any], arguments: tuple[Any, ...], limit: float, last: bool = True
+                  ) -> Any:
         assert self._sockets is not None
         task, life = self._sockets
         try:
@@ -128,10 +130,10 @@ class Isolation:
             return Ended(Status.timeout, f"did not finish within {limit:g} s")
         except (OSError, EOFError):
             return Ended(Status.crashed, self._why())
-        except (ValueError, TypeError, KeyError, IndexError, MemoryError, RecursionError):
+        except (ValueError, TypeError, KeyError, IndexError, MemoryError, RecursionError, struct.error):
             self.close()
             return Ended(Status.crashed, "the process running it answered nonsense")
-        if left:
+        if left and last:
             self.close()
         for text in told["heard"]:
             warnings.warn(clean(text), stacklevel=2)

@@ -46,9 +46,10 @@ def beneath(errors: Array, floors: Array) -> float:
 def floor_lines(aligned: Aligned) -> Iterator[tuple[Column, str, dict[str, Any]]]:
     """(column, estimator, facts) of pooled floors and efficiencies, for lines that pass no verdict."""
     for name, metric, quantity, unit in metric_columns(aligned.part):
-        if metric != "floor":
+        of = f"rmse:{quantity}:{unit}"
+        if metric != "floor" or of not in aligned:
             continue
-        floors, errors = aligned.values(name), aligned.values(f"rmse:{quantity}:{unit}")
+        floors, errors = aligned.values(name), aligned.values(of)
         rooted = st.rooted(st.hall(floors**2, positive=True))
         error = st.rooted(st.hall(errors**2, positive=True))
         for i, label in enumerate(aligned.labels):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -19,7 +20,7 @@ from ...estimators.interface import Estimator
 from ...estimators.registry import GIVEN, estimator_class, estimators, installed, load_file
 from ...scenarios.errors import InputError, describe
 from ...scenarios.source import source_hash
-from ..isolation.process import IMPORT, Ended, Isolation, isolation
+from ..isolation.process import IMPORT, Ended, Isolation, clean, isolation
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,15 @@ class Described:
 def said(name: str, cls: type[Estimator]) -> dict[str, Any]:
     """What a class says of itself: the fields of `Described`."""
     def names(value: Any) -> tuple[str, ...]:
-        return (value,) if isinstance(value, str) else tuple(map(str, value))
+        return (clean(value),) if isinstance(value, str) else tuple(map(clean, value))
 
     parameters = tuple(
         {"parameter": key, "default": "required" if item.is_required() else json.dumps(item.default, default=str),
          "type": str(item.annotation).replace("typing.", "").removeprefix("<class '").removesuffix("'>"),
          "about": item.description or ""} for key, item in cls.Parameters.model_fields.items())
-    return asdict(Described(name, str(cls.summary), str(cls.family), str(cls.source), str(cls.__doc__ or ""),
-                            names(cls.needs), names(cls.claims), bool(cls.oracle), cls.lag != 0,
-                            parameters))
+    return asdict(Described(name, clean(cls.summary), clean(cls.family, 60), clean(cls.source),
+                            clean(cls.__doc__ or "", 20_000), names(cls.needs), names(cls.claims), bool(cls.oracle),
+                            cls.lag != 0, parameters))
 
 
 def said_by_file(path: str) -> list[dict[str, Any]]:
@@ -99,10 +100,12 @@ class Catalogue:
         self._known: dict[str, Described] = {}
         self.loose: list[str] = []
         """Names of the estimators of loose files."""
-        self.files = [str(Path(path).resolve()) for path in dict.fromkeys(files)]
-        for path in dict.fromkeys(files):
+        given = {os.path.realpath(path): path for path in reversed(files)}
+        self.files = list(reversed(given))
+        for file in self.files:
+            path = given[file]
             what = Path(path).stem if path.endswith(GIVEN) else path
-            for found in self._ask(what, said_by_file, str(Path(path).resolve())):
+            for found in self._ask(what, said_by_file, file):
                 if found.name in self.loose:
                     raise InputError(f"{path}: an estimator named {found.name} is in {self._known[found.name].file} "
                                      "too; rename one")

@@ -29,6 +29,8 @@ from .provenance import environment
 if TYPE_CHECKING:
     import pandas as pd
 
+KINDS = ("rows", "curves", "trajectories", "tables")
+"""The folders in it."""
 Gone = Mapping[tuple[str, str], Collection[int] | None]
 """(scenario/variant, estimator) -> runs whose rows are to go (None: all)."""
 
@@ -47,7 +49,7 @@ class Store:
         if (self.folder / "manifest.json").exists():
             return True
         if self.folder.exists() and (not self.folder.is_dir() or any(
-                path.name != LOCK for path in self.folder.iterdir())):
+                path.name != LOCK and not path.name.startswith(".manifest.json.") for path in self.folder.iterdir())):
             raise InputError(f"{self.folder}: is not empty and not a results folder (no manifest.json); choose another "
                              "--out")
         return False
@@ -67,6 +69,8 @@ class Store:
         """
         self.exists  # noqa: B018  (refused before anything is put into it)
         self.folder.mkdir(parents=True, exist_ok=True)
+        for kind in KINDS:
+            within(self.folder, kind)
         with locked(self.folder, command):
             self._manifest = None
             for kind in ("rows", "curves", "trajectories", ""):
@@ -85,7 +89,7 @@ class Store:
             "schema_version": SCHEMA, "railstate": version("railstate"), "environment": environment(),
             "started": datetime.now(UTC).isoformat(timespec="seconds"), **(before or {}),
             "command": " && ".join(commands), "configuration": configuration, **description, "finished": None})
-        for name in ("rows", "curves", "trajectories", "tables"):
+        for name in KINDS:
             (self.folder / name).mkdir(parents=True, exist_ok=True)
 
     def finish(self, *, rows: int, **facts: Any) -> None:
@@ -174,6 +178,8 @@ class Store:
         if self._manifest is None:
             path = self.folder / "manifest.json"
             try:
+                if path.exists() and not path.is_file():
+                    raise InputError(f"{path}: is no file")
                 self._manifest = _validated(path.read_bytes(), path)
             except (FileNotFoundError, NotADirectoryError):
                 raise InputError(f"{self.folder}: not a results folder (no manifest.json); `railstate run --out DIR` "
@@ -220,7 +226,7 @@ class Store:
         """verdicts.parquet, or None where there is none that is newer than all rows and readable."""
         path = self.folder / "verdicts.parquet"
         try:
-            written = path.stat().st_mtime_ns
+            written = path.stat().st_mtime_ns if path.is_file() else 0
             parts = [*(self.folder / "rows").glob("*.parquet")]
             if not parts or max(part.stat().st_mtime_ns for part in parts) > written:
                 return None
@@ -271,11 +277,21 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """The path of a file in a folder. Raises InputError for a name that leads out of it or is none."""
+    """The path of a file in a folder. Raises InputError for a name that leads out of it or is none, see `within`."""
     parts = name.split("/")
     if not all(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._~=,@+-]*", part) for part in parts):
         raise InputError(f"{name[:200]!r}: is no name of a file in {folder}")
-    return folder.joinpath(*parts)
+    for part in parts[:-1]:
+        folder = within(folder, part)
+    return folder / parts[-1]
+
+
+def within(folder: Path, name: str) -> Path:
+    """The path of a folder in a folder, there or not. Raises InputError for a link, which may lead out, or a file."""
+    path = folder / name
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise InputError(f"{path}: is no folder but a {'link' if path.is_symlink() else 'file'}; remove it")
+    return path
 
 
 def _validated(text: str | bytes, path: Path) -> dict[str, Any]:

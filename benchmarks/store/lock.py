@@ -24,10 +24,10 @@ def locked(folder: Path, command: str) -> Iterator[None]:
     """Hold a folder's lock. Raises InputError saying who holds it, OSError where it cannot be written.
 
     A record lock: processes that are started meanwhile do not inherit it, and none survives its owner."""
-    path = (folder / LOCK).resolve()
+    path = folder.resolve() / LOCK
     if path in _held:
         raise InputError(f"{folder}: this very process is writing to it already")
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     try:
         try:
             fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

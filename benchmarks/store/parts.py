@@ -41,6 +41,8 @@ def part_paths(folder: Path, kind: str) -> list[Path]:
 def read_part(path: Path, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
     """A part with its columns in their types, whoever wrote it. Raises InputError where it is damaged."""
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("no file")
         coded = [] if kind == "rows" else [name for name in pq.read_schema(path).names if name in _WORDS]
         found = pq.ParquetFile(path, read_dictionary=coded).read(None if columns is None else list(columns))
         missing = [name for name in columns or NEEDED[kind] if name not in found.column_names]

@@ -79,6 +79,8 @@ def _files(store: Store, manifest: dict[str, Any], rows: pd.DataFrame, found: Ve
     wrong = []
     for name, text in wanted.items():
         try:
+            if not (store.folder / name).is_file():
+                raise FileNotFoundError
             if (store.folder / name).read_text(encoding="utf-8") != text:
                 wrong.append(name)
         except (OSError, UnicodeDecodeError):

@@ -5,6 +5,7 @@ All of them run beside `ekf`; each kind is a line of a table: where, what, and w
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -178,9 +179,14 @@ def test_two_of_one_name_are_refused(railstate: Command) -> None:
     assert done.code == 2 and "an estimator named half is in" in done.err
 
 
+def interrupted() -> None:
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize(("act", "said"), [
     (lambda: sys.exit(0), "is left out: SystemExit: 0"),
     (lambda: os._exit(0), "is left out: SystemExit: 0"),
+    (interrupted, "is left out: KeyboardInterrupt: "),
     (lambda: None, "no subclass of railstate.scenarios.setting.Setting"),
     (lambda: LinearSystem, "there is a setting of kind linear already"),
 ])
@@ -201,6 +207,19 @@ def test_a_setting_that_ends_everything_on_import_or_takes_a_name_is_left_out(
     with pytest.warns(UserWarning, match=said) as caught:
         assert registry.settings.__wrapped__() == {"linear": LinearSystem}
     assert len(caught) == 1 and "a-strange" in str(caught[0].message)
+
+
+def test_an_interrupt_while_a_setting_is_imported_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Strange(EntryPoint):
+        def load(self) -> Any:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(registry, "entry_points", lambda group: [Strange("strange", "strange", group)])
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(signal, "default_int_handler", before)
+    with pytest.raises(KeyboardInterrupt):
+        registry.settings.__wrapped__()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="who descends from whom is read from /proc")

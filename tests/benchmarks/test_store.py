@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -157,29 +153,6 @@ def test_two_processes_on_one_folder(railstate: Command, trials: int) -> None:
         assert {code for _, code in ended} <= {0, 2} and 0 in {code for _, code in ended}
         assert all("is being written by" in err for err, code in ended if code)
         same(rows("right"), rows(f"out{trial}"))
-
-
-@pytest.mark.parametrize("points", [3, pytest.param(100, marks=pytest.mark.long)])
-def test_killed_anywhere_and_resumed_rows_are_the_same(railstate: Command, points: int) -> None:
-    words = ("run", "cart.toml", "-e", "kalman,ekf", "--runs", "30", "--jobs", "1", "--batch", "2")
-    railstate(*words, "--out", "whole")
-    rng = random.Random(3)
-    for point in range(points):
-        process = subprocess.Popen([*PROGRAM, *words, "--out", f"out{point}"], stdout=subprocess.DEVNULL,
-                                   stderr=subprocess.DEVNULL)
-        begun = time.monotonic()
-        while process.poll() is None and not Path(f"out{point}/manifest.json").exists():
-            assert time.monotonic() < begun + 120
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0, 1.0))
-        process.kill()
-        process.wait()
-        again = railstate(*words, "--out", f"out{point}")
-        assert again.code == 0, again.err
-        same(rows("whole"), rows(f"out{point}"))
-        assert json.loads(Path(f"out{point}/manifest.json").read_text())["finished"]
-        assert sorted(path.name for path in Path(f"out{point}").iterdir()) == sorted(
-            path.name for path in Path("whole").iterdir())
 
 
 def test_compare_finds_no_difference_over_batches_and_jobs(railstate: Command) -> None:
@@ -331,135 +304,6 @@ def test_an_edit_in_one_family_leaves_the_others(tmp_path: Path) -> None:
     assert {"railstate.benchmarks.scoring.scorer", "railstate.benchmarks.running.drive"} <= rows_are_made_by
     assert not any(word in name for name in rows_are_made_by for word in ("store", "judging", "telling", "kalman_"))
     assert "railstate.scenarios.coupled_cars/zou2018_gain.csv" in modules_of("railstate.scenarios.coupled_cars.setting")
-
-
-# -- damage ---------------------------------------------------------------------------------------------------------
-
-Mutation = Callable[[random.Random, Path], None]
-
-
-def _anywhere(rng: random.Random, found: Any) -> tuple[Any, Any]:
-    """A container of nested data and one of its keys."""
-    spots = [(found, key) for key in found] if isinstance(found, dict) else [(found, n) for n in range(len(found))]
-    spots += [spot for _, value in (found.items() if isinstance(found, dict) else enumerate(found))
-              if isinstance(value, dict | list) and value for spot in [_anywhere(rng, value)]]
-    return rng.choice(spots)
-
-
-ODD = (None, -1, 10**30, 0.5, "", "x\n\x1b[31m", "../../X", [], {}, [[]], {"a": 1}, True, "<script>", "=cmd()",
-       "\ud800", float("nan"), float("inf"), "2020-01-01", [1] * 50, "v/../../../X", "é" * 300)
-
-
-def _manifest(rng: random.Random, out: Path) -> None:
-    path = out / "manifest.json"
-    content = json.loads(path.read_text())
-    for _ in range(rng.randint(1, 2)):
-        where, key = _anywhere(rng, content)
-        action = rng.randrange(4)
-        if action == 0:
-            del where[key]
-        elif action == 1 and isinstance(where, dict):
-            where[rng.choice(["odd", "../x", "a/b", ""])] = where.pop(key)
-        else:
-            where[key] = rng.choice(ODD)
-        if not content:
-            break
-    path.write_text(json.dumps(content))
-
-
-def _nested(rng: random.Random, out: Path) -> None:
-    depth = rng.choice([50, 3000, 100_000])
-    text = (out / "manifest.json").read_text()
-    deep = rng.choice(["[" * depth, "[" * depth + "]" * depth, '{"a":' * depth + "1" + "}" * depth])
-    (out / "manifest.json").write_text(rng.choice([deep, text.replace('"notes": []', f'"notes": {deep}', 1),
-                                                   text.replace('"parameters": {}', f'"parameters": {deep}', 1)]))
-
-
-def _bytes(rng: random.Random, out: Path) -> None:
-    path = rng.choice(sorted(path for path in out.rglob("*") if path.is_file() and path.stat().st_size))
-    data = bytearray(path.read_bytes())
-    action = rng.randrange(4)
-    if action == 0:
-        data = data[:rng.randrange(len(data))]
-    elif action == 1:
-        data = bytearray(rng.randbytes(len(data)))
-    else:
-        for _ in range(rng.choice([1, 8, 64])):
-            data[rng.randrange(len(data))] = rng.randrange(256)
-    path.write_bytes(bytes(data))
-
-
-def _part(rng: random.Random, out: Path) -> None:
-    path = rng.choice(sorted(out.rglob("*.parquet")))
-    frame = pd.read_parquet(path)
-    column = rng.choice(list(frame.columns))
-    action = rng.randrange(6)
-    if action == 0:
-        frame = frame.drop(columns=column)
-    elif action == 1:
-        frame = frame.rename(columns={column: rng.choice(["odd", "rmse:x:m", "a:b:c", column.upper()])})
-    elif action == 2:
-        odd: Any = rng.choice([None, "odd", 3.5, -7, "../../X", [1, 2], {"a": 1}, True, "ok", float("inf")])
-        frame[column] = [odd] * len(frame)
-    elif action == 3:
-        frame = pd.concat([frame, frame.head(rng.randint(1, 3))])
-    elif action == 4:
-        frame = frame.astype({name: "large_string[pyarrow]" for name in frame
-                              if pd.api.types.is_string_dtype(frame[name])})
-    else:
-        frame = frame.head(0) if rng.random() < 0.3 else frame.sample(frac=0.6, random_state=rng.randrange(1000))
-    frame.to_parquet(path, index=rng.random() < 0.5)
-
-
-def _files(rng: random.Random, out: Path) -> None:
-    path = rng.choice(sorted(path for path in out.rglob("*") if path.name != LOCK))
-    if path.is_dir():
-        for inner in path.iterdir():
-            inner.unlink()
-        path.rmdir()
-        if rng.random() < 0.5:
-            path.write_text("a file now")
-    else:
-        path.unlink()
-        if rng.random() < 0.5:
-            path.mkdir()
-
-
-MUTATIONS: tuple[Mutation, ...] = (_manifest, _manifest, _nested, _bytes, _bytes, _part, _part, _files)
-
-
-@pytest.mark.parametrize("number", [30, pytest.param(500, marks=pytest.mark.long)])
-def test_damaged_folders_end_in_one_message_or_are_right(railstate: Command, tmp_path: Path, number: int) -> None:
-    import shutil
-
-    railstate(*CART, "-e", "kalman,ekf", "--runs", 3, "--out", "sound")
-    sound = tmp_path / "sound"
-    right = rows(sound)
-    refused = 0
-    for seed in range(number):
-        rng = random.Random(seed)
-        out = tmp_path / "out"
-        shutil.rmtree(out, ignore_errors=True)
-        shutil.copytree(sound, out)
-        rng.choice(MUTATIONS)(rng, out)
-        before = sorted(path for path in tmp_path.iterdir())
-        words = rng.choice([("report", "out"), ("plot", "out", "--figure", "error-over-time", "--format", "svg"),
-                            ("compare", "sound", "out"), ("replay", "cart/calm/kalman/1", "--out", "out"),
-                            (*CART, "-e", "kalman,ekf", "--runs", 3, "--out", "out")])
-        done = railstate(*words)
-        told = f"seed {seed}: {words[0]} {done.code}\n{done.err[:3000]}"
-        assert done.code in (0, 2), told
-        assert "Traceback" not in done.err and "\x1b" not in done.err, told
-        if done.code == 2:
-            refused += 1
-            assert done.err.startswith("error: ") and len(done.err) < 3000, told
-        elif words[0] == "run":
-            mine = rows(out)
-            common = [name for name in right.columns if name in mine.columns]
-            assert len(mine) >= len(right), told
-            assert set(common) >= {"scenario", "variant", "estimator", "run", "status"}, told
-        assert sorted(path for path in tmp_path.iterdir()) == before, told  # nothing outside the folder
-    assert 0.3 * number < refused < number
 
 
 @pytest.mark.long

@@ -110,6 +110,8 @@ class Canvas:
 
     def save(self, path: Path) -> None:
         """Write the figure; the file's suffix (.svg, .pdf, .png) chooses the format. PNG has 300 dots per inch."""
+        if path.is_symlink():  # what it leads to stays
+            path.unlink()
         if path.suffix == ".svg":
             path.write_text(self.svg() + "\n", encoding="utf-8")
         else:

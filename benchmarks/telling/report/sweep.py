@@ -6,14 +6,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from markupsafe import Markup
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from ....scenarios.errors import InputError
+from ....scenarios.errors import InputError, describe
+from ...judging.table import TEXTS, VERDICT_COLUMNS
+from ..cleaning import one_line
 from ..figures.axes import Style
 from ..figures.canvas import Canvas
 from ..figures.data import assign_styles
@@ -34,7 +37,7 @@ class Sweep:
 
     name: str
     keys: list[str]
-    shown: list[list[str]]
+    shown: list[tuple[str, str]]
     estimators: list[str]
     runs: int
     seed: int
@@ -66,6 +69,9 @@ class Sweep:
         return over_key(part, self.keys[0], bracket(f"{metric} {quantity}", unit), self.styles())
 
 
+_SWEEP = TypeAdapter(Sweep)
+
+
 def is_sweep(folder: str | Path) -> bool:
     """Whether a folder is a sweep's."""
     return (Path(folder) / DESCRIPTION).is_file()
@@ -75,20 +81,23 @@ def load(folder: str | Path) -> tuple[Sweep, pd.DataFrame]:
     """What a sweep's folder holds. Raises InputError naming the file that is not what a sweep writes."""
     path = Path(folder) / DESCRIPTION
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        missing = [item.name for item in fields(Sweep) if item.name not in found]
-        if missing:
-            raise ValueError(f"{', '.join(missing)} is missing")
-        sweep = Sweep(**{item.name: found[item.name] for item in fields(Sweep)})
+        sweep = _SWEEP.validate_json(path.read_bytes())
+        if not sweep.keys or {len(point) for point in sweep.points()} != {len(sweep.keys)}:
+            raise ValueError(f"has points of other keys than {', '.join(sweep.keys)}")
         path = Path(folder) / VALUES
-        table = pd.read_csv(path, keep_default_na=False, na_values=[""],
-                            dtype={**dict.fromkeys(sweep.keys, str), "note": str, "verdict": str})
-        need = {"kind", "metric", "quantity", "estimator", "value", "low", "high", "factor", "runs", *sweep.keys}
-        if need - {*table.columns}:
-            raise ValueError(f"has no column {', '.join(sorted(need - {*table.columns}))}")
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise InputError(f"{path}: not as railstate sweep writes it: {error}") from None
-    return sweep, table.fillna({"note": "", "verdict": ""})
+        if path.exists() and not path.is_file():
+            raise ValueError("is no file")
+        table = pd.read_csv(path, keep_default_na=False, na_values=[""], dtype={
+            **dict.fromkeys(VERDICT_COLUMNS, float), **dict.fromkeys((*TEXTS, *sweep.keys), str), "eligible": bool})
+        missing = [name for name in (*VERDICT_COLUMNS, *sweep.keys) if name not in table]
+        if missing:
+            raise ValueError(f"has no column {', '.join(missing)}")
+        pd.to_numeric(table["against"][table["kind"] == "requirement"])
+    except ValidationError as error:
+        raise InputError(f"{path}: not as railstate sweep writes it: {describe(error, BaseModel)[0]}") from None
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        raise InputError(f"{path}: not as railstate sweep writes it: {one_line(error)[:300]}") from None
+    return sweep, table.fillna(dict.fromkeys(TEXTS, ""))
 
 
 def tables(sweep: Sweep, table: pd.DataFrame) -> list[tuple[str, str, Table, Markup | str]]:
