@@ -187,6 +187,19 @@ def _cell(scenario: Scenario, variant: str, only: Sequence[str], catalogue: Cata
     return Cell(scenario.name, variant, scenario.where, scenario.variants[variant], entries) if entries else None
 
 
+def check_parameters(scenario: Scenario, variants: Sequence[str], catalogue: Catalogue) -> None:
+    """Raises InputError where an estimator of one of the variants does not take its parameters. Who is not known here
+    may come with --plugin."""
+    names, seen = catalogue.names(), set[str]()
+    for variant in variants:
+        for label, entry in scenario.setting(variant).config.estimators.items():
+            asked = f"{label} {entry.plugin} {entry.parameters}"
+            if entry.plugin in names and asked not in seen:
+                seen.add(asked)
+                catalogue.parameters(entry.plugin, entry.parameters,
+                                     f"{scenario.where}: estimators.{label}.parameters", scenario.folder)
+
+
 def own(cell: Cell, label: str) -> bool:
     """Whether an estimator of a cell, and the cell's setting, are the suite's own code."""
     setting = settings()[cell.table["plant"]["kind"]]

@@ -85,7 +85,7 @@ def parse_axis(text: str) -> Axis:
     if "|" in span:
         try:
             return Axis(keys, scale="choice", choices=tuple(tomllib.loads(f"v = [{span.replace('|', ',')}]")["v"]))
-        except tomllib.TOMLDecodeError:
+        except (tomllib.TOMLDecodeError, RecursionError):
             return Axis(keys, scale="choice", choices=tuple(span.split("|")))
     least, most, scale = _limits(span, wrong)
     scale = scale or "linear"
