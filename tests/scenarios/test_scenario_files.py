@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from railstate.benchmarks.api.listing import scenario_lines
 from railstate.scenarios.files import load, merge
 from railstate.scenarios.keys import keys_of
 from railstate.scenarios.registry import scenario_files, settings
@@ -102,6 +103,17 @@ def test_built_in_scenarios_resolve_and_explain_themselves(name: str) -> None:
     for variant in scenario.variants:
         config = scenario.setting(variant).config
         assert config.title and config.source
+
+
+def test_a_line_of_the_list_is_what_the_scenario_is() -> None:
+    lines = {line["scenario"]: line for line in scenario_lines()}
+    for name in ("ningbo-metro", "braking-rate"):
+        scenario = load(name)
+        config = scenario.setting(scenario.default).config
+        assert scenario.requested and lines[name] == {
+            "scenario": name, "about": config.title, "estimators": tuple(config.estimators),
+            "variants": tuple(variant for variant in scenario.variants if variant not in scenario.requested),
+            "variants on request": tuple(variant for variant in scenario.variants if variant in scenario.requested)}
 
 
 def test_list_show_schema(railstate: Command) -> None:
