@@ -1,10 +1,15 @@
-"""What an estimator's entry may be told otherwise than the truth reaches its design model, and nothing else."""
+"""What an estimator's entry may be told otherwise than the truth reaches its design model, and nothing else.
+
+What cannot be is told with its place."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from railstate.scenarios.errors import describe
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import untold
 from railstate.scenarios.randomness import Streams
@@ -63,3 +68,34 @@ def test_bounds_of_an_entry_leave_its_standard_deviations():
     assert np.array_equal(Q, same) and np.array_equal(R, too)
     gaussian = said({"moments": "gaussian"})[1]
     assert gaussian == pytest.approx(Q / 3)
+
+
+class Small(BaseModel):
+    """A model that has everything that can go wrong."""
+
+    model_config = ConfigDict(extra="forbid")
+    period: float = Field(gt=0)
+    word: str = "good"
+    pairs: list[int] = []
+
+    @field_validator("word")
+    @classmethod
+    def _good(cls, word: str) -> str:
+        if word.startswith("bad"):
+            raise ValueError(f"{word} is no word" if word == "bad" else "expected a good word")
+        return word
+
+
+@pytest.mark.parametrize(("table", "said"), [
+    ({"period": -1.0, "word": "bad"}, [
+        "t.period: Input should be greater than 0 (got -1.0)", "t.word: bad is no word"]),
+    ({"period": 1.0, "word": "badly"}, ["t.word: expected a good word (got 'badly')"]),
+    ({"periods": 2}, ["t.period: missing", "t.periods: unknown key (got 2); allowed: period, word, pairs"]),
+    ({"period": {"a": 1}, "pairs": [1, "x"]}, [
+        "t.period: Input should be a valid number",
+        "t.pairs.1: Input should be a valid integer, unable to parse string as an integer (got 'x')"])])
+def test_what_is_wrong_is_told_with_its_place_and_once(table: dict[str, Any], said: list[str]) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Small.model_validate(table)
+    assert describe(caught.value, Small, "t") == said
+    assert describe(caught.value, Small) == [line.removeprefix("t.") for line in said]
