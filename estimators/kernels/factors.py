@@ -119,13 +119,12 @@ def sequential(p, h, variance, received, gain, spread, failed, work, width):
             noises = variance[j]
             for s in range(width):
                 total[s] = noises[s] if got[s] else 1.0
-                inverse[s] = 1.0 / total[s] if total[s] > 0.0 else 0.0
         else:
             noise = variance[j, 0]
-            precision = 1.0 / noise if noise > 0.0 else 0.0
             for s in range(width):
                 total[s] = noise if got[s] else 1.0
-                inverse[s] = precision if got[s] else 1.0
+        for s in range(width):
+            inverse[s] = 0.0  # of no use in the first turn, whose rows below are zero
         for i in range(last + 1, n):
             row = gained[i]
             for s in range(width):
@@ -150,7 +149,6 @@ def sequential(p, h, variance, received, gain, spread, failed, work, width):
                     row[s] += before * moved[s]
         for s in range(width):
             failed[s] |= not total[s] > 0.0
-            inverse[s] = inverse[s] if got[s] else 0.0
         for i in range(n):
             row = gained[i]
             for s in range(width):
