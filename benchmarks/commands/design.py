@@ -176,13 +176,13 @@ def _designed(setting: Setting[Any], name: str, variant: str, cls: type[Estimato
         return _Designed({"bound": NONE, "status": f"infeasible: {reason}"})
     if "gain" not in info:
         return _Designed({}, other=info)
-    bound, seconds = info["bound"], info.get("design_s")
+    bound, seconds, exact = info["bound"], info.get("design_s"), _exact(model, info["gain"])
     return _Designed({
         "bound": NONE if bound is None else f"{bound:.6g}",
         "status": info["status"],
         "decay theta": f"{info['theta']:.6g}",
-        **_exact(model, info["gain"]),
-        **_measured(setting, name, variant, entry, info["gain"]),
+        **exact,
+        **(_measured(setting, name, variant, entry, info["gain"]) if exact else {}),
         "solver": info.get("solver", ""),
         "seconds": "" if seconds is None else f"{seconds:.2f}",
         "from": "" if seconds is None else "cache" if info["cached"] else "solver",
