@@ -119,6 +119,9 @@ def test_ratios_are_of_the_runs_that_both_finished() -> None:
     assert less.value == pytest.approx(whole.value, rel=2e-3) and less.error == pytest.approx(whole.error, rel=0.2)
     assert root(less).value == pytest.approx(less.value**0.5) and less.runs is not None
     assert np.isnan(less.runs).sum() == 2
+    rooted = root(less)
+    assert rooted.runs is not None and root(Found(4.0, 0.2, 0.4)) == Found(2.0, 0.05, 0.1)
+    np.testing.assert_array_equal(rooted.runs, np.sqrt(less.runs))
 
 
 def test_files_are_whole() -> None:

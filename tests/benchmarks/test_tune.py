@@ -14,7 +14,7 @@ from railstate.benchmarks.planning.naming import find_one
 from railstate.benchmarks.running.runner import Machinery
 from railstate.benchmarks.studies.entries import put
 from railstate.benchmarks.studies.search import Axis, parse_axis, parse_constraint, search
-from railstate.benchmarks.studies.tune import Task, tune
+from railstate.benchmarks.studies.tune import Scored, Task, Tuned, tune
 from railstate.scenarios.errors import InputError
 
 from ..recordings import tram
@@ -272,3 +272,19 @@ def test_few_evaluations_come_as_near_as_a_grid_of_hundreds(estimator, over, obj
     assert len(tuned.found.losses) <= evaluations and not tuned.found.edge
     assert tuned.found.loss <= best * (1 + within)
     assert abs(added) < 1.96 * error and error < 0.02
+
+
+def test_the_gap_between_training_and_test_with_its_error():
+    """The runs of both are independent; what tuning adds is of the same runs, where what both share cancels."""
+    def scored(loss, *pulls):
+        return Scored(loss, (loss,), (0.0,), np.array(pulls))
+
+    train = {"tuned": scored(1.0, -0.1, 0.1, 0.0), "untuned": scored(2.0, -0.1, 0.1, 0.0)}
+    test = {"tuned": scored(1.2, 0.3, -0.3), "untuned": scored(2.1, 0.4, -0.4)}
+    tuned = Tuned({}, None, train, test, [], 0.0, False)
+    sides = [np.std([-0.1, 0.1, 0.0], ddof=1) / np.sqrt(3), np.std([0.3, -0.3], ddof=1) / np.sqrt(2)]
+    assert tuned.gap("tuned") == pytest.approx((0.2, 1.2 * math.hypot(*sides)))
+    assert tuned.gap("untuned")[0] == pytest.approx(0.05)
+    assert tuned.added() == pytest.approx((0.15, 1.2 * np.std([-0.1, 0.1], ddof=1) / np.sqrt(2)))
+    one = Tuned({}, None, {"tuned": scored(0.0, 0.0)}, {"tuned": scored(1.0, 0.0)}, [], 0.0, False)
+    assert np.isnan(one.gap("tuned")).all()

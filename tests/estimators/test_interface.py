@@ -292,3 +292,10 @@ def test_every_parameter_says_what_it_is() -> None:
     silent = [f"{name}.{key}" for name, cls in estimators().items() for key, told in cls.Parameters.model_fields.items()
               if not told.description]
     assert not silent
+
+
+@pytest.mark.parametrize(("share", "whole"), [
+    (1.0, True), (0.5, False), (np.array(1.0), True), (np.ones(3), True), (np.array([1.0, 0.5]), False)])
+def test_a_whole_step_is_whole_for_every_run(share: Any, whole: bool) -> None:
+    interval = Interval(3, 2.0, 0.5 * share, share)
+    assert interval.whole is whole and interval.depart == 2 and interval.moving(np.size(share)).all()

@@ -1,4 +1,4 @@
-"""The metro's inclusion: it holds the truth wherever the bounds do, and agrees with a loop over corners."""
+"""Inclusions: they hold the truth wherever the bounds do; the metro's agrees with a loop over corners."""
 
 from __future__ import annotations
 
@@ -29,6 +29,25 @@ def test_the_truth_is_always_inside_where_the_bounds_hold(variant):
     assert (scored.metrics["coverage", "ellipsoid"] == 1.0).all()
     assert scored.metrics["half-width", "position"].mean() < 0.75
     assert np.isnan(scored.metrics["half-width", "speed"]).all()  # of which nothing is claimed
+
+
+def test_wheels_that_slide_one_way_hold_the_truth() -> None:
+    """The first two minutes of wet trips, with a width that braking opens and balises close."""
+    setting, streams = load("odometry").setting("wet"), Streams(5, "odometry", "wet", range(4))
+    world = setting.world(streams)
+    estimator, model = prepare(setting, estimators()["interval"], {}, {}, world.initial_mean)
+    estimator.start(model, 4, streams("estimator", "interval"))
+    widths = np.empty((1200, 4))
+    for k in range(1200):
+        step, gone = world.step(k, world.initial_mean), 0.0
+        for event in step.events:
+            share = event.share
+            estimator.predict(step.u, Interval(k + 1, step.start + gone * step.length, share * step.length, share))
+            estimator.update(Measurement(event.y, event.received, k + 1))
+            gone = gone + share
+        assert ((estimator.low[0] <= step.truth[0]) & (step.truth[0] <= estimator.high[0])).all()
+        widths[k] = estimator.high[0] - estimator.low[0]
+    assert widths.min() < 2.0 and 8.0 < widths.mean() < 16.0 and widths.max() < 40.0
 
 
 def test_a_step_against_a_loop_over_corners_and_readings():

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from railstate.benchmarks.store.folder import Store
 from railstate.scenarios.files import load
-from railstate.scenarios.odometry.world import OdometryWorld
+from railstate.scenarios.odometry.world import PHASES, OdometryWorld, phases
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.sensors.gnss import fixes
+from scipy.linalg import expm
 
 from ..conftest import Command
 
@@ -246,3 +249,23 @@ def test_a_line_and_a_train_of_one_s_own(railstate: Command) -> None:
 def test_bad_files_are_one_message(railstate: Command, override: str, expected: str) -> None:
     done = railstate("run", "odometry/dry", "--set", override, "--runs", 1, "--out", "out")
     assert done.code == 2 and expected in done.err and "Traceback" not in done.err, done.err
+
+
+def test_phases_of_a_ride() -> None:
+    speed = np.array([[0.0, 5.0], [5.0, 5.0], [5.0, 5.0], [5.0, 0.0], [5.0, 5.0]])
+    state = np.stack([np.zeros((5, 2)), speed], axis=1)
+    ride: Any = SimpleNamespace(acceleration=np.array([[1.0, 0.2], [0.1, -0.1], [-0.2, 0.0], [0.2, -9.0], [-0.1, 0.3]]),
+                                state=state)
+    assert phases(ride, 0.5).tolist() == [[-1, 0], [1, 1], [2, 1], [0, -1], [1, 0]]
+    assert PHASES == ("accelerating", "coasting", "braking")
+
+
+def test_slip_comes_and_goes_at_its_rates() -> None:
+    """Over a step of each axle's chain, exactly; the axles know nothing of each other."""
+    setting = load("odometry", {"knowledge.slip": {"enter": 0.4, "leave": 1.5, "sd": 10.0}}).setting("wet")
+    modes = setting.design_model({}, np.zeros((2, 1))).modes
+    axle = expm(np.array([[-0.4, 0.4], [1.5, -1.5]]) * setting.config.time.period)
+    assert modes is not None and [mode.name for mode in modes.modes] == ["no slip", "slip of b", "slip of a",
+                                                                         "slip of a and b"]
+    np.testing.assert_allclose(modes.transition, np.kron(axle, axle), rtol=1e-12)
+    assert modes.prior.tolist() == [1.0, 0.0, 0.0, 0.0]

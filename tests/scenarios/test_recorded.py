@@ -320,3 +320,10 @@ def test_the_train_s_own_model_bridges_an_outage(tmp_path):
     bare = setting(str(tmp_path / "metro.csv"), "sweep", columns)
     with pytest.raises(Unsupported, match="--line, --train"):
         run(bare, "ekf-train", 1, "sweep")
+
+
+@pytest.mark.parametrize("name", ["recorded", "recorded-odometry"])
+def test_without_a_recording_everything_is_promised(name):
+    """What lists show of a scenario that still waits for its file."""
+    scenario = load(name)
+    assert all(item.referenced for item in scenario.setting(scenario.default).quantities())
