@@ -4,6 +4,7 @@ One interface for both, so that the same runner and the same estimators serve ei
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import InitVar, dataclass, field, fields
 from functools import cached_property
 from typing import Any, Protocol
@@ -129,13 +130,34 @@ def step_times(world: World) -> Array:
     return np.cumsum(world.lengths) - world.lengths[0]
 
 
+class Later(Mapping[str, Array]):
+    """Arrays by name that are computed when one of them is first asked for."""
+
+    def __init__(self, make: Callable[[], dict[str, Array]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> dict[str, Array]:
+        return self._make()
+
+    def __getitem__(self, name: str) -> Array:
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """An open-loop world, simulated beforehand and shared by all estimators.
 
     truth (K, nt, S); u (K, nu, S): input over the interval that ends at step k; y (K, ny, S); received (K, ny, S);
     active (K, S); lengths (K,): of the interval that ends at step k, s (0.0: measured at the start, no prediction).
-    initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form.
+    initial_mean (nx, S): the estimators' start, before step 0. extra: what figures of this setting want, free form
+    (`Later`: what costs much and is wanted for few runs).
     windows: names of parts of the trip whose errors are reported on their own; window (K, S): which part a step is in,
     -1 for none. covariance (K, ny, ny, S or 1): what the sensors tell of each measurement, NaN where they do not.
     late, faulty (K, ny, S): as in `Event`; reference (K, 2, S): as in `Step`. Raises InputError without lengths."""
@@ -147,7 +169,7 @@ class Trajectory:
     active: Mask
     lengths: Array = field(default_factory=lambda: np.zeros(0))
     initial_mean: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    extra: dict[str, Array] = field(default_factory=dict)
+    extra: Mapping[str, Array] = field(default_factory=dict)
     closed_loop: bool = False
     windows: tuple[str, ...] = ()
     window: NDArray[np.int16] | None = None

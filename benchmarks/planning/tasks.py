@@ -12,6 +12,8 @@ from ...estimators.registry import estimators
 from ...scenarios import machine_code
 from .plan import Plan, Task, own
 
+BLOCK = 2000
+"""Most runs of a block: from here on what Python does per step is small beside the arithmetic."""
 ROOM = 400e6
 """Bytes that the trajectories of a block of runs, or what an estimator keeps of them, may take."""
 
@@ -25,7 +27,7 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
         room = max(1, int(ROOM / max(setting.batch_bytes(), 1)))
         count = max(plan.runs, cell.runs)
         share = count if len(plan.cells) >= 2 * jobs else -(-count // jobs)
-        size = batch or max(1, min(500, room, share))
+        size = batch or -(-share // -(-share // min(BLOCK, room)))  # alike, so that no process waits for another
         missing: dict[tuple[str, ...], list[int]] = {}
         for run in range(count):
             labels = [label for label in cell.entries if run not in done.get((cell.key, label), ())]

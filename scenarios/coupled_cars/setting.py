@@ -5,6 +5,7 @@ The truth feels a resistive force of which the estimators know a bound only; eve
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -83,8 +84,7 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             initial_mean=self._believed(streams),
         )
         heard = observe(trajectory, streams, self.sensing(), self._channel(), self.config.faults, clean)
-        heard.extra["received"] = heard.received.any(axis=1).astype(float)
-        return heard
+        return replace(heard, extra={"received": heard.received.any(axis=1).astype(float)})
 
     def sensing(self) -> Sensing:
         n, sensors = self.cars, self.config.sensors

@@ -5,6 +5,7 @@ x(k+1) = A x(k) + B w(k), y(k) = C x(k) + v(k): the plant (2) of Zou, Wang, Han,
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ class LinearSystem(Setting[LinearConfig]):
         heard = observe(trajectory, streams, self.sensing(), channel, self.config.faults, clean)
         if isinstance(channel, OneAtATime) and channel.silent == "nothing":
             sensor = [node[0] for node in channel.groups(ny)]
-            heard.extra["node"] = np.argmax(heard.received[:, sensor, :], axis=1).astype(float)
+            return replace(heard, extra={"node": np.argmax(heard.received[:, sensor, :], axis=1).astype(float)})
         return heard
 
     def matched(self, runs: int) -> Matched:

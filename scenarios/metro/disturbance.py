@@ -117,11 +117,15 @@ class Sensors(Strict):
         """The measurement noise (steps, 2, S)."""
         bar = np.array(self.v_bar)[None, :, None]
         if self.noise == "gaussian":
-            return random.normal(steps, 2) * (bar / 3)
+            noise = random.normal(steps, 2)
+            noise *= bar / 3
+            return noise
+        noise = random.uniform(-1.0, 1.0, steps, 2)
         if self.noise == "uniform":
-            return random.uniform(-1.0, 1.0, steps, 2) * bar
+            noise *= bar
+            return noise
         bias = np.stack([wave(random, self.period, steps, period) for _ in range(2)], axis=1)
-        return bar * (self.share * bias + (1 - self.share) * random.uniform(-1.0, 1.0, steps, 2))
+        return bar * (self.share * bias + (1 - self.share) * noise)
 
 
 def wave(random: RunRandom, range_: list[float], steps: int, period: float) -> Array:

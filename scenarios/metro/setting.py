@@ -29,7 +29,7 @@ from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
 from ..schema import ScenarioConfig
 from ..setting import Matched, Outcome, Quantity, Setting
-from ..world import Sensing, Trajectory, World
+from ..world import Later, Sensing, Trajectory, World
 from .config import Knowledge, MetroConfig
 from .disturbance import UNTOUCHED
 from .inclusion import Rectangles
@@ -97,15 +97,20 @@ class Metro(Setting[MetroConfig]):
         factors = config.disturbance.factors(random)
         w = config.disturbance.draw(random, steps, period)
         trip = self._simulate(w, factors, config.disturbance.form == "physical")
-        y = trip.state + config.sensors.draw(sensed, steps, period)
+        y = config.sensors.draw(sensed, steps, period)
+        y += trip.state
         there = np.ones(y.shape, dtype=bool)
-        position = trip.state[:, 0]
+
+        def extra() -> dict[str, Array]:
+            position = trip.state[:, 0]
+            return {"disturbance": trip.w, "reference-speed": trip.reference,
+                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)}
+
         trajectory = Trajectory(
             truth=trip.state, u=trip.u, y=y, received=there,
             active=trip.active, lengths=np.full(steps, period), initial_mean=np.array(self.start)[:, None] + error,
             windows=self.sections, window=trip.section if self.sections else None,
-            extra={"disturbance": trip.w, "reference-speed": trip.reference,
-                   "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)})
+            extra=Later(extra))
         return observe(trajectory, streams, self.sensing(), config.channel, config.faults, trip.state)
 
     def matched(self, runs: int) -> Matched | None:

@@ -210,7 +210,11 @@ def _simulate(forces, slope, start, base, rate, first, stops, ease, begin, T, co
                 asked = min(max(asked, least * ease[leg]), greatest * ease[leg])
                 change = slew * ease[leg] * T
                 effort = min(max(asked, effort - change), effort + change)
-                if departed:  # brakes bring the train to a stand, not backwards
+                V = KMH * v
+                stand = -v / T + forces.r0 + V * (forces.r1 + V * forces.r2) + climb(s, slope)
+                if departed and (stand >= 0.0 or stand > effort * forces.brake):
+                    # brakes bring the train to a stand, not backwards: where all of their force would not, no share of
+                    # it does
                     effort = max(effort, _effort(-v / T, s, v, forces, slope))
             else:
                 effort = _effort(-v / T, s, v, forces, slope)
@@ -231,6 +235,11 @@ def _simulate(forces, slope, start, base, rate, first, stops, ease, begin, T, co
                 v = 0.0  # but for rounding it is
             state[k, 0, r], state[k, 1, r], u[k, 0, r] = s, v, effort
             active[k, r], section[k, r], reference[k, r] = mode != DONE, leg, wanted
+            if mode == DONE:
+                for rest in range(k + 1, steps):
+                    state[rest, 0, r], state[rest, 1, r], u[rest, 0, r], w[rest, r] = s, v, effort, 0.0
+                    active[rest, r], section[rest, r], reference[rest, r] = False, leg, wanted
+                break
             if mode == RUNNING:
                 departed = departed or v > 1.0
                 if leg + 1 == sections:
