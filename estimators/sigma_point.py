@@ -51,7 +51,8 @@ class SigmaPointKalman(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         n, ny = model.nx, model.ny
-        self._weights_mean, self._weights_covariance, self._scale = self.weights(n)
+        *weights, self._scale = self.weights(n)
+        self._weights = np.array(weights)
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(np.broadcast_to(model.initial_covariance, (n, n, runs)), order="C")
         self._estimate = Estimate(self._mean, covariance=self._covariance)
@@ -71,10 +72,11 @@ class SigmaPointKalman(Estimator):
         if isinstance(transition, Compiled) and self.redraw:
             arguments, moved = transition.arguments(u, interval), self._none
         else:
-            arguments = (0, self._mean, self._weights_mean, self._weights_mean)
+            arguments = (0, self._mean, self._weights[0], self._weights[0])
             moved = np.ascontiguousarray(transition(self._draw()[0], u, interval))
-        self._flag(unscented_predict(*arguments, moving, self._weights_mean, self._weights_covariance, self._scale, q,
-                                     self._mean, self._covariance, moved, self._failed))
+        address, u, seconds, data = arguments
+        self._flag(unscented_predict(address, u, seconds, data, moving, self._weights, self._scale, q, self._mean,
+                                     self._covariance, moved, self._failed))
         if not self.redraw:
             if self._propagated is not None and len(moving) < self.runs:
                 still = np.setdiff1d(self._everyone, moving)
@@ -114,13 +116,13 @@ class SigmaPointKalman(Estimator):
         n, ny, runs = self.model.nx, self.model.ny, self.runs
         images = np.array(self.model.measurement(points, step), order="C")  # a copy even of the state itself
         predicted, h, noise = np.empty((ny, runs)), np.empty((ny, n, runs)), np.empty((ny, ny, runs))
-        self._flag(linearised(deviations, images, self._weights_mean, self._weights_covariance, self._covariance, r,
-                              predicted, h, noise, self._failed))
+        self._flag(linearised(deviations, images, self._weights, self._covariance, r, predicted, h, noise,
+                              self._failed))
         return predicted, h, noise
 
     def _draw(self) -> tuple[Array, Array]:
         """Points of every run from its mean and covariance, and their deviations (nx, m, S)."""
-        points = np.empty((self.model.nx, len(self._weights_mean), self.runs))
+        points = np.empty((self.model.nx, self._weights.shape[1], self.runs))
         deviations = np.empty_like(points)
         self._flag(sigma_points(self._mean, self._covariance, self._scale, points, deviations, self._failed))
         return points, deviations

@@ -82,23 +82,25 @@ class Loop:
         if estimator.oracle:
             estimator.reveal(step.truth)
         u = read_only(step.u)
-        last, gone, spent, begun = len(step.events) - 1, 0.0, 0.0, perf_counter()
+        last, gone, spent = len(step.events) - 1, 0.0, 0.0
         for number, event in enumerate(step.events):
-            share = event.share
+            share, interval = event.share, None
             if isinstance(share, float) and share == 1.0:
-                estimator.predict(u, new(Interval, (step.number, step.start, step.length, 1.0)))
-                gone = 1.0
+                interval, gone = new(Interval, (step.number, step.start, step.length, 1.0)), 1.0
             else:
                 if not (isinstance(share, float) and share == 0.0) and (self.idle or np.any(share)):
-                    estimator.predict(u, Interval(step.number, step.start + gone * step.length, share * step.length,
-                                                  share))
+                    interval = Interval(step.number, step.start + gone * step.length, share * step.length, share)
                 gone = gone + share
+            arriving = self._arriving(step, event, number, gone, listens)
+            begun = perf_counter()
+            if interval is not None:
+                estimator.predict(u, interval)
             if early and (number == last or every):
                 estimate = self._estimate()
                 spent += perf_counter() - begun
                 observer.predicted(step, number, estimate)
                 begun = perf_counter()
-            for measurement in self._arriving(step, event, number, gone, listens):
+            for measurement in arriving:
                 innovation = estimator.update(measurement)
                 if innovation is not None:
                     spent += perf_counter() - begun
@@ -107,9 +109,10 @@ class Loop:
             if late and (number == last or every):
                 estimate = self._estimate()
                 self.mean = estimate.mean
-                spent += perf_counter() - begun
+            spent += perf_counter() - begun
+            if late and (number == last or every):
                 observer.updated(step, number, estimate)
-                begun = perf_counter()
+        begun = perf_counter()
         if self.world.closed_loop and not late:
             self.mean = self._estimate().mean
         past = estimator.past() if estimator.lag else None

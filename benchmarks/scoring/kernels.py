@@ -54,19 +54,9 @@ def score_errors(vector, truth, active, scored, index, weight, owner, share, lim
 
 
 @kernel
-def score_matrix(vector, truth, matrix, live, form, lost):
-    """form (S,) := e' M^-1 e, see `quadratic_forms`; lost (S,) is set where a live run's M is indefinite."""
-    failed = np.empty(live.shape[0], np.bool_)
-    quadratic_forms(vector, truth, matrix, form, failed)
-    for s in range(live.shape[0]):
-        lost[s] |= failed[s] and live[s] > 0.0
-
-
-@kernel
-def score_nees(vector, truth, matrix, live, form, lost, total, count, curve, middle, limit, inside, histogram):
-    """`score_matrix` of a covariance, taken up by total, count (S,) and curve (6, ..) of this step: the sum over runs
-    in [4, 0], their number in [5, 0]. The rest as in `add_spread`."""
-    score_matrix(vector, truth, matrix, live, form, lost)
+def score_forms(form, live, total, count, curve, middle, limit, inside, histogram):
+    """A step's NEES, form (S,), taken up by total, count (S,) and curve (6, ..) of this step: the sum over runs in
+    [4, 0], their number in [5, 0]. The rest as in `add_spread`."""
     add_forms(form, live, total, count, curve[4], curve[5])
     add_spread(form, live, middle, limit, inside, histogram)
 
@@ -173,34 +163,33 @@ def accumulate_curves(step, live, last, steps, curve):
 
 
 @kernel
-def quadratic_forms(vector, truth, matrix, out, lost):
+def quadratic_forms(vector, truth, matrix, live, out, lost):
     """out[s] = e' M^-1 e, e = vector - truth in the first n elements, by Cholesky. Where M is singular: infinite if e
     leaves the directions that M allows for, else NaN (nothing to be judged).
 
-    vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where M is indefinite or not finite."""
+    vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where a run that live (S,) tells of has an
+    M that is indefinite or not finite."""
     n, runs = matrix.shape[0], truth.shape[1]
     shared = matrix.shape[2] == 1
     width = runs if n * n * runs <= 8192 else tile_width(n, runs)
-    tile, factor = np.empty((n, n, width)), np.empty((n, n, width))
+    tile, factor = np.empty((n, n, 1 if width == runs else width)), np.empty((n, n, width))
+    source = matrix if shared or width == runs else tile
     inverse, error = np.empty((n, width)), np.empty((n, 1, width))
     failed = np.zeros(width, dtype=np.bool_)
     for first in range(0, runs, width):
         count = min(width, runs - first)
-        if not shared:
-            failed[:] = False
-            if width == runs:
-                factorise(matrix, factor, inverse, failed, False, count)
-            else:
+        if not shared or first == 0:
+            for s in range(count):
+                failed[s] = False
+            if not shared and width < runs:
                 gather3(matrix, np.arange(first, first + count), count, tile)
-                factorise(tile, factor, inverse, failed, False, count)
-        elif first == 0:
-            factorise(matrix, factor, inverse, failed, False, np.int64(1))
-            for s in range(1, width):
-                failed[s] = failed[0]
-                for i in range(n):
-                    inverse[i, s] = inverse[i, 0]
-                    for j in range(n):
-                        factor[i, j, s] = factor[i, j, 0]
+            factorise(source, factor, inverse, failed, False, min(count, matrix.shape[2]))
+        for s in range(1, width if shared and first == 0 else 0):
+            failed[s] = failed[0]
+            for i in range(n):
+                inverse[i, s] = inverse[i, 0]
+                for j in range(n):
+                    factor[i, j, s] = factor[i, j, 0]
         for i in range(n):
             mine, theirs, row = vector[i, first:first + count], truth[i, first:first + count], error[i, 0]
             for s in range(count):
@@ -209,7 +198,7 @@ def quadratic_forms(vector, truth, matrix, out, lost):
         total = out[first:first + count]
         for s in range(count):
             total[s] = 0.0
-            lost[first + s] = failed[s]
+            lost[first + s] |= failed[s] and live[first + s] > 0.0
         for i in range(n):
             row, scale = error[i, 0], inverse[i]
             for s in range(count):

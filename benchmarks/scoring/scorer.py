@@ -15,7 +15,7 @@ from ...estimators.interface import Estimate, Status
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.setting import Quantity
 from ...scenarios.world import Step
-from .kernels import BINS, histogram_medians, score_bound, score_errors, score_matrix, score_nees
+from .kernels import BINS, histogram_medians, quadratic_forms, score_bound, score_errors, score_forms
 
 EVERYTHING = np.zeros((0, 0), dtype=bool)
 CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
@@ -94,12 +94,15 @@ class Scorer:
             if n != self.nees_states:
                 self.nees_states, self.histogram = n, np.zeros((len(live), BINS), dtype=np.int32)
                 self.middle, self.outer = (2 * float(gammaincinv(n / 2, share)) for share in (0.5, 0.95))
-            score_nees(vector, truth, np.ascontiguousarray(estimate.covariance[:n, :n]), live, self.form, self.lost,
-                       self.nees, self.nees_steps, curve, self.middle, self.outer, self.nees_inside, self.histogram)
+            quadratic_forms(vector, truth, np.ascontiguousarray(estimate.covariance[:n, :n]), live, self.form,
+                            self.lost)
+            score_forms(self.form, live, self.nees, self.nees_steps, curve, self.middle, self.outer, self.nees_inside,
+                        self.histogram)
             self.claimed.add("nees")
         if estimate.ellipsoid is not None:
             n = min(len(truth), estimate.ellipsoid.shape[0])
-            score_matrix(vector, truth, np.ascontiguousarray(estimate.ellipsoid[:n, :n]), live, self.form, self.lost)
+            quadratic_forms(vector, truth, np.ascontiguousarray(estimate.ellipsoid[:n, :n]), live, self.form,
+                            self.lost)
             use = (live > 0) & ~np.isnan(self.form)
             self.inside += use & (self.form <= 1 + 1e-9)
             self.ellipsoid_steps += use

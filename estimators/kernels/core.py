@@ -24,7 +24,7 @@ INDEFINITE = 1e-9
 @kernel
 def tile_width(n, runs):
     """How many runs to take at a time: a few (n, n, width) arrays stay in the cache, and whole vectors fit."""
-    return max(1, min(runs, max(64, 1024 // max(n, 1) // 32 * 32)))
+    return max(1, min(runs, max(64, 2048 // max(n, 1) // 32 * 32)))
 
 
 @kernel
@@ -155,40 +155,33 @@ def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance
 
     transition, jacobian: compiled functions by address, and what both take (`compiled.SIGNATURE`)."""
     n, runs = mean.shape
-    wide = tile_width(n, runs)
-    lengths = seconds.reshape(1, runs)
-    if wide == runs:  # one tile: without a copy
-        cubes, moved = np.empty((2 * n, n, runs)), np.empty((n, runs))
-        f, half = cubes[:n], cubes[n:]
-        call(transition, mean, u, lengths, data, 1, runs, runs, moved)
-        call(jacobian, mean, u, lengths, data, 1, runs, runs, f)
-        _half(f, covariance, half, runs)
-        _symmetric_half(half, f, q, covariance, runs)
-        for i in range(n):
-            for s in range(runs):
-                mean[i, s] = moved[i, s]
-        return
+    wide, lengths = tile_width(n, runs), seconds.reshape(1, runs)
+    whole = wide == runs  # one tile: means and covariances are not copied
     index = np.empty(wide, np.int64)
-    cubes, rows = np.empty((3 * n, n, wide)), np.empty((2 * n + 1 + u.shape[0], wide))
-    p, f, half = cubes[:n], cubes[n:2 * n], cubes[2 * n:]
-    x, moved, times, inputs = rows[:n], rows[n:2 * n], rows[2 * n:2 * n + 1], rows[2 * n + 1:]
+    cubes = np.empty((2 * n if whole else 3 * n, n, wide))
+    rows = np.empty((n + 1 + u.shape[0] + (0 if whole else n), wide))
+    f, half, p = cubes[:n], cubes[n:2 * n], covariance if whole else cubes[2 * n:]
+    moved, times, inputs = rows[:n], rows[n:n + 1], rows[n + 1:n + 1 + u.shape[0]]
+    x = mean if whole else rows[n + 1 + u.shape[0]:]
     tile_q = q if q.shape[2] == 1 else np.empty((n, n, wide))
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
         for s in range(width):
             index[s] = first + s
-        gather2(mean, index, width, x)
         gather2(u, index, width, inputs)
         gather2(lengths, index, width, times)
         if q.shape[2] > 1:
             gather3(q, index, width, tile_q)
-        gather3(covariance, index, width, p)
+        if not whole:
+            gather2(mean, index, width, x)
+            gather3(covariance, index, width, p)
         call(transition, x, inputs, times, data, 1, width, wide, moved)
         call(jacobian, x, inputs, times, data, 1, width, wide, f)
         _half(f, p, half, width)
         _symmetric_half(half, f, tile_q, p, width)
         scatter2(moved, index, width, mean)
-        scatter3(p, index, width, covariance)
+        if not whole:
+            scatter3(p, index, width, covariance)
 
 
 @kernel

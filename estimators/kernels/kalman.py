@@ -13,29 +13,17 @@ from .factors import compose, decompose, sequential, shift
 @kernel
 def receivers(received):
     """Numbers of the runs that received at least one element, increasing."""
-    ny, runs = received.shape
-    some, index = np.zeros(runs, np.bool_), np.empty(runs, np.int64)
-    for j in range(ny):
+    runs, count = received.shape[1], 0
+    index = np.zeros(runs, np.int64)
+    for j in range(received.shape[0]):
         got = received[j]
         for s in range(runs):
-            some[s] |= got[s]
-    count = 0
+            index[s] |= got[s]
     for s in range(runs):
+        some = index[s]
         index[count] = s
-        count += some[s]
+        count += some
     return index[:count]
-
-
-@kernel
-def _everyone(received):
-    """Whether every run received something."""
-    for s in range(received.shape[1]):
-        some = False
-        for j in range(received.shape[0]):
-            some |= received[j, s]
-        if not some:
-            return False
-    return True
 
 
 @kernel
@@ -115,99 +103,70 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, residual, vari
     r (ny, ny, S or 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over
     the elements received. residual, variance (ny, S): the innovation of each element received, in turn. failed (S,) is
     set, and the run's numbers NaN, where the covariance is indefinite or an innovation variance is not positive."""
-    runs = mean.shape[1]
-    if tile_width(mean.shape[0], runs) == runs and r.shape[2] == 1 and _everyone(received) and _diagonal(r, 0):
-        return _update_all(mean, covariance, y, predicted, received, h, r, residual, variance, failed)
+    n, ny, own = mean.shape[0], y.shape[0], r.shape[2] > 1
     index, bad = receivers(received), 0
     for diagonal in (True, False):
-        part = _of_kind(index, r, diagonal)
-        if len(part):
-            bad += _update_kind(mean, covariance, y, predicted, received, h, r, residual, variance, failed, part,
-                                diagonal)
-    return bad
-
-
-@kernel
-def _update_all(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
-    """`kalman_update` of all runs, which are one tile and share a diagonal r (ny, ny, 1): without a copy of them."""
-    n, ny, runs = mean.shape[0], y.shape[0], mean.shape[1]
-    noise, rows, flags = np.empty((ny, 1)), np.empty((ny * n + n + 3, runs)), np.zeros((ny + 1, runs), np.bool_)
-    gain, work, got, lost = rows[:ny * n].reshape((ny, n, runs)), rows[ny * n:], flags[:ny], flags[ny]
-    for j in range(ny):
-        noise[j, 0] = r[j, j, 0]
-        for s in range(runs):
-            got[j, s] = received[j, s]
-            residual[j, s] = y[j, s] - predicted[j, s] if got[j, s] else 0.0
-    decompose(covariance, lost, work, runs)
-    sequential(covariance, h, noise, got, gain, variance, lost, work, runs)
-    shift(mean, residual, h, gain, work, runs)
-    compose(covariance, work, runs)
-    bad = 0
-    for s in range(runs):
-        if lost[s]:
-            failed[s] = True
-            bad += 1
-            _spoil(mean, covariance, s)
-    return bad
-
-
-@kernel
-def _update_kind(mean, covariance, y, predicted, received, h, r, residual, variance, failed, index, diagonal):
-    """`kalman_update` of the runs of index, whose noise is of one kind."""
-    n, ny, own = mean.shape[0], y.shape[0], r.shape[2] > 1
-    wide = tile_width(n, len(index))
-    noise = np.ones((ny, wide if own and diagonal else 1))
-    if diagonal and not own:
-        for j in range(ny):
-            noise[j, 0] = r[j, j, 0]
-    cubes, rows = np.empty((n + ny, n, wide)), np.empty((2 * n + 4 * ny + 3, wide))
-    p, gain, x, work = cubes[:n], cubes[n:], rows[:n], rows[n:2 * n + 3]
-    seen, guess = rows[2 * n + 3:2 * n + 3 + ny], rows[2 * n + 3 + ny:2 * n + 3 + 2 * ny]
-    innovation, spread = rows[2 * n + 3 + 2 * ny:2 * n + 3 + 3 * ny], rows[2 * n + 3 + 3 * ny:]
-    got, lost = np.empty((ny, wide), np.bool_), np.empty(wide, np.bool_)
-    jacobian = h if h.shape[2] == 1 else np.empty((ny, n, wide))
-    tile = r if not own or diagonal else np.empty((ny, ny, wide))
-    bad = 0
-    for first in range(0, len(index), wide):
-        width = min(wide, len(index) - first)
-        part = index[first:first + width]
-        gather2(mean, part, width, x)
-        gather3(covariance, part, width, p)
-        gather2(y, part, width, seen)
-        gather2(predicted, part, width, guess)
-        gather2(received, part, width, got)
-        if h.shape[2] > 1:
-            gather3(h, part, width, jacobian)
-        for s in range(width):
-            lost[s] = False
-        innovate(seen, guess, got, innovation, width)
-        decompose(p, lost, work, width)
-        if diagonal:
-            for j in range(ny if own else 0):
-                for s in range(width):
-                    noise[j, s] = r[j, j, part[s]]
-            sequential(p, jacobian, noise, got, gain, spread, lost, work, width)
-            shift(x, innovation, jacobian, gain, work, width)
-        else:
-            if own:
-                gather3(r, part, width, tile)
-            white, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
-            sequential(p, white, noise, got, gain, spread, lost, work, width)
-            shift(x, innovation, white, gain, work, width)
+        kind = _of_kind(index, r, diagonal)
+        if not len(kind):
+            continue
+        wide = tile_width(n, len(kind))
+        whole = wide == mean.shape[1]
+        noise = np.ones((ny, wide if own and diagonal else 1))
+        if diagonal and not own:
             for j in range(ny):
-                for s in range(width):
-                    innovation[j, s] /= inverse[j, s]
-                    spread[j, s] /= inverse[j, s] * inverse[j, s]
-        compose(p, work, width)
-        for s in range(width):
-            if lost[s]:
-                failed[part[s]] = True
-                bad += 1
-                _spoil(x, p, s)
-        scatter2(innovation, part, width, residual)
-        scatter2(spread, part, width, variance)
-        scatter2(x, part, width, mean)
-        scatter3(p, part, width, covariance)
+                noise[j, 0] = r[j, j, 0]
+        cubes = np.empty((ny if whole else n + ny, n, wide))
+        rows = np.empty((n + 3 + 2 * ny + (0 if whole else n + 2 * ny), wide))
+        gain, work, seen, guess = cubes[:ny], rows[:n + 3], rows[n + 3:n + 3 + ny], rows[n + 3 + ny:n + 3 + 2 * ny]
+        rest = rows[n + 3 + 2 * ny:]
+        p, x = covariance if whole else cubes[ny:], mean if whole else rest[:n]
+        innovation, spread = residual if whole else rest[n:n + ny], variance if whole else rest[n + ny:]
+        flags = np.empty((ny + 1, wide), np.bool_)
+        got, lost = flags[:ny], flags[ny]
+        jacobian = h if h.shape[2] == 1 else np.empty((ny, n, wide))
+        tile = r if not own or diagonal else np.empty((ny, ny, wide))
+        for first in range(0, len(kind), wide):
+            width = min(wide, len(kind) - first)
+            part = kind[first:first + width]
+            if not whole:
+                gather2(mean, part, width, x)
+                gather3(covariance, part, width, p)
+            gather2(y, part, width, seen)
+            gather2(predicted, part, width, guess)
+            gather2(received, part, width, got)
+            if h.shape[2] > 1:
+                gather3(h, part, width, jacobian)
+            for s in range(width):
+                lost[s] = False
+            innovate(seen, guess, got, innovation, width)
+            decompose(p, lost, work, width)
+            design, inverse = jacobian, noise
+            if not diagonal:
+                if own:
+                    gather3(r, part, width, tile)
+                design, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
+            elif own:
+                for j in range(ny):
+                    for s in range(width):
+                        noise[j, s] = r[j, j, part[s]]
+            sequential(p, design, noise, got, gain, spread, lost, work, width)
+            shift(x, innovation, design, gain, work, width)
+            if not diagonal:
+                for j in range(ny):
+                    for s in range(width):
+                        innovation[j, s] /= inverse[j, s]
+                        spread[j, s] /= inverse[j, s] * inverse[j, s]
+            compose(p, work, width)
+            for s in range(width):
+                if lost[s]:
+                    failed[part[s]] = True
+                    bad += 1
+                    _spoil(x, p, s)
+            if not whole:
+                scatter2(innovation, part, width, residual)
+                scatter2(spread, part, width, variance)
+                scatter2(x, part, width, mean)
+                scatter3(p, part, width, covariance)
     return bad
 
 

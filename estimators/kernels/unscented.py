@@ -30,25 +30,36 @@ def _moments(values, weights, mean, width):
 @kernel
 def _spread(deviations, weights, out, width):
     """Add the weighted sum of the outer products of deviations (n, m, width) to out's lower triangle (n, n, width),
-    and mirror it."""
-    for a in range(deviations.shape[0]):
-        for b in range(a + 1):
-            total = out[a, b]
-            for i in range(deviations.shape[1]):
-                w, left, right = weights[i], deviations[a, i], deviations[b, i]
+    and mirror it. The deviations are overwritten."""
+    m = deviations.shape[1]
+    for a in range(deviations.shape[0] - 1, -1, -1):  # row a is no other's `right` below: it may take its weights
+        total, left = out[a, a], deviations[a]
+        for i in range(m):
+            w, row = weights[i], left[i]
+            for s in range(width):
+                weighted = w * row[s]
+                total[s] += weighted * row[s]
+                row[s] = weighted
+        for b in range(a):
+            total, other, right, i = out[a, b], out[b, a], deviations[b], 0
+            while i + 4 <= m:  # four terms at a time: fewer loads and stores, the same order of additions
                 for s in range(width):
-                    total[s] += (w * left[s]) * right[s]
-            if b < a:
-                other = out[b, a]
+                    total[s] = (((total[s] + left[i, s] * right[i, s]) + left[i + 1, s] * right[i + 1, s])
+                                + left[i + 2, s] * right[i + 2, s]) + left[i + 3, s] * right[i + 3, s]
+                i += 4
+            while i < m:
                 for s in range(width):
-                    other[s] = total[s]
+                    total[s] += left[i, s] * right[i, s]
+                i += 1
+            for s in range(width):
+                other[s] = total[s]
 
 
 @kernel
-def _gathered(cloud, weights_mean, weights_covariance, noise, mean, covariance, width):
-    """mean (n, width), covariance (n, n, width) := the moments of a cloud of points (n, m, width), which become
-    deviations, plus noise (n, n, width or 1)."""
-    _moments(cloud, weights_mean, mean, width)
+def _gathered(cloud, weights, noise, mean, covariance, width):
+    """mean (n, width), covariance (n, n, width) := the moments of a cloud of points (n, m, width), which are
+    overwritten, plus noise (n, n, width or 1). weights (2, m): of the mean and of covariances."""
+    _moments(cloud, weights[0], mean, width)
     for a in range(mean.shape[0]):
         for b in range(a + 1):
             start = covariance[a, b]
@@ -60,7 +71,7 @@ def _gathered(cloud, weights_mean, weights_covariance, noise, mean, covariance, 
                 row = noise[a, b]
                 for s in range(width):
                     start[s] = row[s]
-    _spread(cloud, weights_covariance, covariance, width)
+    _spread(cloud, weights[1], covariance, width)
 
 
 @kernel
@@ -106,28 +117,20 @@ def sigma_points(mean, covariance, scale, points, deviations, failed):
 
 
 @kernel
-def unscented_predict(model, u, seconds, data, index, weights_mean, weights_covariance, scale, q, mean, covariance,
-                      moved, failed):
+def unscented_predict(model, u, seconds, data, index, weights, scale, q, mean, covariance, moved, failed):
     """Mean (nx, S) and covariance (nx, nx, S) := the moments of the propagated sigma points plus q (nx, nx, S or 1), of
     the runs of index; the others are not touched. Returns how many runs failed here.
 
     model, u, seconds, data: the transition and what it takes, see `compiled.SIGNATURE`: points are drawn and propagated
     block by block. model 0: `moved` (nx, m, S) are the propagated points, from a model that is called from Python."""
-    n, m, runs = mean.shape[0], len(weights_mean), len(index)
+    n, m, runs = mean.shape[0], weights.shape[1], len(index)
     wide, lengths = tile_width(n, runs), seconds.reshape(1, len(seconds))
-    cubes, clouds = np.empty((2 * n, n, wide)), np.empty((2 * n, m, wide))
-    rows, lost = np.empty((2 * n + 1 + u.shape[0], wide)), np.zeros(wide, np.bool_)
-    p, factor, points, cloud = cubes[:n], cubes[n:], clouds[:n], clouds[n:]
-    x, inverse, times, inputs = rows[:n], rows[n:2 * n], rows[2 * n:2 * n + 1], rows[2 * n + 1:]
-    bad = 0
-    if model != 0 and wide == runs == mean.shape[1]:  # one tile: without a copy
-        _draw(mean, covariance, scale, factor, inverse, points, cloud, lost, runs)
-        call(model, points, u, lengths, data, m, runs, runs, cloud)
-        _gathered(cloud, weights_mean, weights_covariance, q, mean, covariance, runs)
-        for s in range(runs):
-            failed[s] |= lost[s]
-            bad += lost[s]
-        return bad
+    whole = wide == mean.shape[1]  # one tile of all runs: means and covariances are not copied
+    cubes, clouds = np.empty((n if whole else 2 * n, n, wide)), np.empty((2 * n, m, wide))
+    rows = np.empty((n + 1 + u.shape[0] + (0 if whole else n), wide))
+    factor, p, points, cloud = cubes[:n], covariance if whole else cubes[n:], clouds[:n], clouds[n:]
+    inverse, times, inputs = rows[:n], rows[n:n + 1], rows[n + 1:n + 1 + u.shape[0]]
+    x, lost, bad = mean if whole else rows[n + 1 + u.shape[0]:], np.empty(wide, np.bool_), 0
     noise = q if q.shape[2] == 1 else np.empty((n, n, wide))
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
@@ -137,10 +140,11 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
         else:
             for s in range(width):
                 lost[s] = False
-            gather2(mean, part, width, x)
-            gather3(covariance, part, width, p)
             gather2(u, part, width, inputs)
             gather2(lengths, part, width, times)
+            if not whole:
+                gather2(mean, part, width, x)
+                gather3(covariance, part, width, p)
             _draw(x, p, scale, factor, inverse, points, cloud, lost, width)
             call(model, points, inputs, times, data, m, width, wide, cloud)
             for s in range(width):
@@ -148,17 +152,18 @@ def unscented_predict(model, u, seconds, data, index, weights_mean, weights_cova
                 bad += lost[s]
         if q.shape[2] > 1:
             gather3(q, part, width, noise)
-        _gathered(cloud, weights_mean, weights_covariance, noise, x, p, width)
-        scatter2(x, part, width, mean)
-        scatter3(p, part, width, covariance)
+        _gathered(cloud, weights, noise, x, p, width)
+        if not whole:
+            scatter2(x, part, width, mean)
+            scatter3(p, part, width, covariance)
     return bad
 
 
 @kernel
-def linearised(deviations, images, weights_mean, weights_covariance, covariance, r, predicted, h, noise, failed):
+def linearised(deviations, images, weights, covariance, r, predicted, h, noise, failed):
     """The measurement by statistical linear regression over sigma points, y = predicted + h (x - mean) + noise.
 
-    deviations (nx, m, S) of the points from the mean, images (ny, m, S) of the points, which become deviations;
+    deviations (nx, m, S) of the points from the mean, images (ny, m, S) of the points, which are overwritten;
     covariance (nx, nx, S), r (ny, ny, S or 1). predicted (ny, S) := weighted mean; h (ny, nx, S) := Pyx P^-1; noise
     (ny, ny, S) := R + Pyy - h P h', so that h P h' + noise is the transform's S and P h' its Pxy. Returns how many runs
     failed here (indefinite covariance)."""
@@ -166,18 +171,18 @@ def linearised(deviations, images, weights_mean, weights_covariance, covariance,
     ny = images.shape[0]
     lost, factor, inverse = np.zeros(runs, np.bool_), np.empty((n, n, runs)), np.empty((n, runs))
     cross = np.zeros((n, ny, runs))
-    _moments(images, weights_mean, predicted, runs)
+    _moments(images, weights[0], predicted, runs)
     for j in range(ny):
         for k in range(j + 1):
             for s in range(runs):
                 noise[j, k, s] = r[j, k, 0] if r.shape[2] == 1 else r[j, k, s]
-    _spread(images, weights_covariance, noise, runs)
     for a in range(n):
         for j in range(ny):
             for i in range(m):
-                w = weights_covariance[i]
+                w = weights[1, i]
                 for s in range(runs):
                     cross[a, j, s] += (w * images[j, i, s]) * deviations[a, i, s]
+    _spread(images, weights[1], noise, runs)
     factorise(covariance, factor, inverse, lost, False, runs)
     forward(factor, inverse, cross, runs)
     for j in range(ny):

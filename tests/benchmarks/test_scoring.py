@@ -94,15 +94,15 @@ def test_quadratic_forms(runs: int, shared: bool) -> None:
     matrix = np.einsum("ijs,kjs->iks", root, root) + 0.1 * np.eye(4)[:, :, None]
     vector, truth = rng.normal(size=(2, 5, runs))
     out, lost = np.empty(runs), np.zeros(runs, dtype=bool)
-    quadratic_forms(vector, truth, matrix, out, lost)
+    quadratic_forms(vector, truth, matrix, np.ones(runs), out, lost)
     error = (vector - truth)[:4]
     expected = [error[:, s] @ np.linalg.solve(matrix[:, :, 0 if shared else s], error[:, s]) for s in range(runs)]
     np.testing.assert_allclose(out, expected, rtol=1e-9)
     assert not lost.any()
     singular = np.zeros((4, 4, 1))
-    quadratic_forms(vector, vector, singular, out, lost)
+    quadratic_forms(vector, vector, singular, np.ones(runs), out, lost)
     assert np.isnan(out).all() and not lost.any()  # no claim, no error: nothing to be judged
-    quadratic_forms(vector, truth, singular, out, lost)
+    quadratic_forms(vector, truth, singular, np.ones(runs), out, lost)
     assert np.isposinf(out).all() and not lost.any()
 
 
@@ -114,9 +114,9 @@ def test_a_claim_without_uncertainty_where_there_is_an_error_is_infinitely_too_s
     allowed = rng.normal(size=(4, 50))
     allowed[3] = allowed[0]
     out, lost, zero = np.empty(50), np.zeros(50, dtype=bool), np.zeros((4, 50))
-    quadratic_forms(allowed, zero, matrix, out, lost)
+    quadratic_forms(allowed, zero, matrix, np.ones(50), out, lost)
     assert np.isnan(out).all() and not lost.any()
-    quadratic_forms(allowed + 1e-3 * rng.normal(size=(4, 50)), zero, matrix, out, lost)
+    quadratic_forms(allowed + 1e-3 * rng.normal(size=(4, 50)), zero, matrix, np.ones(50), out, lost)
     assert np.isposinf(out).all() and not lost.any()
 
 

@@ -13,6 +13,7 @@ from railstate.scenarios.errors import describe
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import untold
 from railstate.scenarios.randomness import Streams
+from railstate.scenarios.registry import scenario_files
 
 from ..models import whole
 
@@ -99,3 +100,25 @@ def test_what_is_wrong_is_told_with_its_place_and_once(table: dict[str, Any], sa
         Small.model_validate(table)
     assert describe(caught.value, Small, "t") == said
     assert describe(caught.value, Small) == [line.removeprefix("t.") for line in said]
+
+
+@pytest.mark.parametrize("name", [name for name in scenario_files() if not name.startswith("recorded")])
+def test_a_measurement_that_is_promised_to_be_linear_is(name):
+    """Of every entry's design model: y(x) - y(0) = H x for any x, with one H, at any step."""
+    scenario, rng, promised = load(name), np.random.default_rng(7), set()
+    setting = scenario.setting(scenario.default)
+    steps = setting.config.model_copy(update={"time": setting.config.time.model_copy(update={"steps": 20})})
+    start = type(setting)(steps).world(Streams(1, name, scenario.default, (0, 1, 2))).initial_mean
+    for label, entry in setting.config.estimators.items():
+        model = setting.told(entry.knowledge, entry.augment, start)
+        promised.add(model.linear_measurement)
+        if not model.linear_measurement:
+            continue
+        x = model.initial_mean + rng.normal(size=model.initial_mean.shape) * 10.0
+        for step in (0, 1, 7):
+            H = model.measurement_jacobian(x, step)
+            assert np.array_equal(H, model.measurement_jacobian(0 * x, step)), label
+            away = model.measurement(x, step) - model.measurement(0 * x, step)
+            expected = np.einsum("jns,ns->js", np.broadcast_to(H, (*H.shape[:2], x.shape[1])), x)
+            np.testing.assert_allclose(away, expected, rtol=1e-9, atol=1e-9, err_msg=label)
+    assert promised
