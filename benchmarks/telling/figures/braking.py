@@ -6,15 +6,15 @@ import numpy as np
 
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import Canvas
-from .data import CellResults
-from .errors import CROWD, LEFT, RIGHT
+from .data import CROWD, CellResults
+from .errors import LEFT, RIGHT
 from .example import thinned
 
 
 def parameter_and_diversity(cell: CellResults) -> Canvas | None:
     """Above: f and its estimates, averaged over all runs, for up to `CROWD` estimators with one standard deviation of
     single runs to either side. Below: distinct values of f among the particles, one kept run."""
-    labels = [label for label in cell.labels if (label, "f") in cell.curves and (label, "f") in cell.kept]
+    labels = cell.apart([label for label in cell.labels if (label, "f") in cell.curves and (label, "f") in cell.kept])
     if not labels:
         return None
     truth = cell.kept[labels[0], "f"]

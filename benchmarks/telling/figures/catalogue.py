@@ -9,7 +9,7 @@ from .braking import parameter_and_diversity
 from .canvas import Canvas
 from .channel import headway, receptions
 from .cost import accuracy_against_latency
-from .data import CellResults, Results
+from .data import CROWD, CellResults, Results
 from .errors import error_over_time, errors_per_run
 from .example import example_run
 from .metro import speed_profile
@@ -20,6 +20,8 @@ from .recorded import errors_by_outage, recorded_trip
 from .requirements import claim_against_error, error_under_allowance, width_against_misses
 from .sections import errors_by_section
 from .trust import certified_against_measured, nees_over_time, nis_over_time
+
+APART = f"Of more than {CROWD} entries it shows each family's best by the first quantity; `plot --entries` chooses."
 
 
 @dataclass(frozen=True)
@@ -48,15 +50,16 @@ FIGURES: tuple[Figure, ...] = (
            accuracy_against_latency),
     Figure("nees", "NEES over time",
            "1 is consistent, above is too sure, below too cautious. A consistent estimator stays in the grey band at "
-           "95 % of the steps.", nees_over_time),
+           f"95 % of the steps. {APART}", nees_over_time),
     Figure("nis", "NIS over time",
            "The innovations against what the filter expects of them: no truth is needed. 1 is consistent, above is too "
-           "sure, below too cautious; a consistent filter stays in the grey band at 95 % of the steps.", nis_over_time),
+           f"sure, below too cautious; a consistent filter stays in the grey band at 95 % of the steps. {APART}",
+           nis_over_time),
     Figure("certified", "Certified bound against measured mean square",
            "A promise is kept where the measured value lies left of its bar.", certified_against_measured),
     Figure("example", "An example run",
-           "The first kept run: the truth of each quantity, and below it the error of every estimator; where some are "
-           "many times larger (off), what of them fits in.", example_run),
+           "The first kept run: the truth of each quantity, and below it the estimators' errors; where some are "
+           f"many times larger (off), what of them fits in. {APART}", example_run),
     Figure("allowance", "Error under the allowance",
            "First kept run: error of the distance travelled since the last balise (marks at the foot), and what is "
            "allowed of it, which grows from balise to balise: fewer balises can give a better verdict.",
@@ -85,7 +88,8 @@ FIGURES: tuple[Figure, ...] = (
            kinds=("recorded",)),
     Figure("parameter", "The parameter f and the particles' diversity",
            "Above, f and its estimates averaged over all runs; with up to eight estimators a band shows one standard "
-           "deviation of single runs. Below, how many values of f are left among the particles of the first kept run.",
+           "deviation of single runs. Below, how many values of f are left among the particles of the first kept run. "
+           f"{APART}",
            parameter_and_diversity, kinds=("braking",)),
     Figure("receptions", "What came through the channel",
            "First kept run in windows: share of packets that arrived, and the longest wait for one.", receptions,

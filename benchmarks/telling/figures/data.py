@@ -27,6 +27,9 @@ from ..rankings import Cell, cells_of
 from .axes import DASHES, MARKERS, Style
 from .canvas import COLOURS, WIDTH
 
+CROWD = 8
+"""From more curves than these on a panel shows bands no more, and not every entry's curve."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -69,6 +72,21 @@ class CellResults:
     def chosen(self, names: Sequence[str], most: int) -> list[str]:
         """The quantities a figure shows: those asked for, else the first `most`."""
         return [name for name in names if name in self.only] if self.only else list(names[:most])
+
+    def apart(self, labels: Sequence[str]) -> list[str]:
+        """Those whose curves lie over one another in a panel: all that were asked for; else, where they are more than
+        `CROWD`, of each family the one that errs least, by the first quantity that is judged."""
+        if len(labels) <= CROWD or not self.judged or set(self.labels) < set(self.cell.entries):
+            return list(labels)
+        _, metric, quantity, _ = self.judged[0]
+        best: dict[str, tuple[float, str]] = {}
+        for label in labels:
+            line = self.line("error", metric, quantity, label)
+            error = float(line["value"]) if line and np.isfinite(line["value"]) else np.inf
+            family = self.cell.families.get(label, "Other")
+            best[family] = min(best.get(family, (np.inf, label)), (error, label), key=lambda found: found[0])
+        shown = {label for _, label in best.values()}
+        return [label for label in labels if label in shown]
 
     @property
     def scenario(self) -> str:

@@ -14,9 +14,9 @@ from ...judging.statistics import finite
 from ..wording import bracket, metric_name
 from .axes import Panel, Style, legend, legend_height, spanning
 from .canvas import Canvas, text_width
-from .data import CellResults, Curve
+from .data import CROWD, CellResults, Curve
 
-MOST, CROWD = 3, 8
+MOST = 3
 BINS = 130
 FLOOR = Style("muted", (2.0, 2.0))
 """How the least possible error is drawn, of the first estimator's truths."""

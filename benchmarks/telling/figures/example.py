@@ -1,4 +1,4 @@
-"""One kept run as an example: the truth of each quantity, and every estimator's error on it."""
+"""One kept run as an example: the truth of each quantity, and estimators' errors on it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def example_run(cell: CellResults) -> Canvas | None:
     units = cell.quantity_units()
     names = cell.chosen([name for name in units if any(
         np.isfinite(track.truth).any() for (label, key), track in cell.kept.items() if key == name and label)], MOST)
-    labels = [label for label in cell.labels if any((label, name) in cell.kept for name in names)]
+    labels = cell.apart([label for label in cell.labels if any((label, name) in cell.kept for name in names)])
     if not names:
         return None
     above, below, gap = 46.0, 74.0, 18.0

@@ -31,7 +31,7 @@ def nis_over_time(cell: CellResults) -> Canvas | None:
 
 def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: str, title: str) -> Canvas | None:
     """A quadratic form over time, by the degrees of freedom of each estimator's, with its interval."""
-    labels = [label for label in degrees if (label, quantity) in cell.curves]
+    labels = cell.apart([label for label in degrees if (label, quantity) in cell.curves])
     if not labels:
         return None
     usual = Counter(degrees[label] for label in labels).most_common(1)[0][0]
