@@ -101,8 +101,8 @@ class _Scoring(Observer):
 
     def _checked(self, estimate: Estimate, step: Step) -> Estimate:
         """The same, after a look at its arrays where any has another shape than before. Raises TypeError."""
-        shapes = tuple((getattr(value, "shape", None), getattr(value, "dtype", None)) for value in (
-            estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid, estimate.bound))
+        shapes = tuple([(getattr(value, "shape", None), getattr(value, "dtype", None)) for value in (
+            estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid, estimate.bound)])
         if shapes != self.good:
             wrong = misshapen(estimate, self.nx, self.runs, len(step.truth) - self.nx)
             if wrong:

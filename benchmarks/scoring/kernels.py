@@ -34,6 +34,17 @@ def lane_sum(values):
 
 
 @kernel
+def has_gaps(truth):
+    """Whether anything of the truth (nt, S) is not known (NaN)."""
+    for i in range(truth.shape[0]):
+        row = truth[i]
+        for s in range(row.shape[0]):
+            if row[s] != row[s]:
+                return True
+    return False
+
+
+@kernel
 def score_errors(vector, truth, active, scored, index, weight, owner, share, limit, good, live, step, totals, last,
                  left_out, steps, curve):
     """Take up one step's errors of the runs that are active (S,) and good (S,), which live (S,) 1.0 or 0.0 tells

@@ -1,11 +1,14 @@
-"""What requirements ask of a run's kept errors, compiled: arrays (S, K), masks say which steps count.
+"""What requirements ask of a run's kept errors: arrays (S, K), masks say which steps count. Compiled but for sorting.
 
 A run at a time, so that no batch changes a bit."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.machine_code import njit
 
 
@@ -49,45 +52,35 @@ def shares(error, limit, counts):  # pyright: ignore
     return inside, use, over, under
 
 
-@njit(cache=True)
-def _percentile(values, percent):  # pyright: ignore
-    """Of sorted values, by linear interpolation between order statistics (numpy's default)."""
-    place = percent / 100.0 * (values.shape[0] - 1)
+def _percentile(values: Array, percent: float) -> float:
+    """Of sorted values, by linear interpolation between order statistics."""
+    place = percent / 100.0 * (len(values) - 1)
     low = int(np.floor(place))
-    high = min(low + 1, values.shape[0] - 1)
-    return values[low] + (place - low) * (values[high] - values[low])
+    high = min(low + 1, len(values) - 1)
+    return float(values[low] + (place - low) * (values[high] - values[low]))
 
 
-@njit(cache=True)
-def percentiles(error, counts, percents):  # pyright: ignore
+def percentiles(error: Array, counts: Mask, percents: Sequence[float]) -> Array:
     """Percentiles of |error| over the steps that count, (len(percents), S)."""
-    runs = error.shape[0]
-    out = np.full((percents.shape[0], runs), np.nan)
-    for r in range(runs):
-        values = np.sort(np.abs(error[r][counts[r]]))
-        if values.shape[0] and np.isfinite(values[-1]):
-            for i in range(percents.shape[0]):
-                out[i, r] = _percentile(values, percents[i])
+    out = np.full((len(percents), len(error)), np.nan)
+    for r, row in enumerate(error):
+        values = np.sort(np.abs(row[counts[r]]))
+        if len(values) and np.isfinite(values[-1]):
+            out[:, r] = [_percentile(values, percent) for percent in percents]
     return out
 
 
-@njit(cache=True)
-def claims(error, claim, counts, k):  # pyright: ignore
+def claims(error: Array, claim: Array, counts: Mask, k: float) -> tuple[Array, Array, Array]:
     """(share of steps with |error| <= k claim, median of k claim, 99th percentile of |error| / claim), (S,) each."""
-    runs = error.shape[0]
-    inside, median, needed = np.full(runs, np.nan), np.full(runs, np.nan), np.full(runs, np.nan)
-    for r in range(runs):
-        e, c = np.abs(error[r][counts[r]]), claim[r][counts[r]]
-        if e.shape[0] == 0 or not np.isfinite(e.sum() + c.sum()):
-            continue
-        good = 0
-        ratio = np.empty_like(e)
-        for i in range(e.shape[0]):
-            good += 1 if e[i] <= k * c[i] else 0
-            ratio[i] = e[i] / c[i] if c[i] > 0.0 else (0.0 if e[i] == 0.0 else np.inf)
-        inside[r] = good / e.shape[0]
-        median[r] = k * _percentile(np.sort(c), 50.0)
-        needed[r] = _percentile(np.sort(ratio), 99.0)
+    inside, median, needed = np.full((3, len(error)), np.nan)
+    for r, row in enumerate(error):
+        e, c = np.abs(row[counts[r]]), claim[r][counts[r]]
+        if len(e) and np.isfinite(e).all() and np.isfinite(c).all():
+            ratio = np.where(e == 0.0, 0.0, np.inf)
+            np.divide(e, c, out=ratio, where=c > 0.0)
+            inside[r] = np.count_nonzero(e <= k * c) / len(e)
+            median[r] = k * _percentile(np.sort(c), 50.0)
+            needed[r] = _percentile(np.sort(ratio), 99.0)
     return inside, median, needed
 
 

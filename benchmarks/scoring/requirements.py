@@ -67,12 +67,13 @@ class RequirementScores:
             return {}
         out: dict[Outcome, Array] = {}
         take = slice(0, self.steps)
-        kept: dict[str, tuple[Array, Array, Array, Array]] = {}
+        kept: dict[str, tuple[Array, Array, Array, Mask]] = {}
         for q, item in enumerate(self.quantities):
-            parts = (self.error[take, q], self.claim[take, q], self.truth[take, q], self.counts[take, q])
-            error, claim, truth, counts = (np.ascontiguousarray(part.T) for part in parts)
+            error, claim, truth = (np.ascontiguousarray(part[take, q].T)
+                                   for part in (self.error, self.claim, self.truth))
+            counts: Mask = np.ascontiguousarray(self.counts[take, q].T)
             kept[item.name] = error, claim, truth, counts
-            found = percentiles(error, counts, np.array(PERCENTILES))
+            found = percentiles(error, counts, PERCENTILES)
             out.update({(f"p{percent:.0f}", item.name, item.unit): found[i] for i, percent in enumerate(PERCENTILES)})
             if len(self.reference):
                 drift = drifts(error, truth, counts, np.array(DISTANCES))
@@ -83,7 +84,7 @@ class RequirementScores:
             out.update(self._one(asked, *kept[asked.quantity], self.quantities[q].unit, bool(self.sets[q])))
         return out
 
-    def _one(self, asked: Requirement, error: Array, claim: Array, truth: Array, counts: Array, unit: str,
+    def _one(self, asked: Requirement, error: Array, claim: Array, truth: Array, counts: Mask, unit: str,
              is_set: bool) -> dict[Outcome, Array]:
         """The columns of one requirement."""
         name = asked.name
@@ -92,7 +93,7 @@ class RequirementScores:
             final = np.abs(error[np.arange(self.runs), np.maximum(last, 0)])
             return {("kept", name, "1"): _known(final <= asked.within, final), ("error", name, unit): final}
         if isinstance(asked, Percentile):
-            value = percentiles(error, counts, np.array([asked.percent]))[0]
+            value = percentiles(error, counts, [asked.percent])[0]
             return {("kept", name, "1"): _known(value <= asked.limit, value),
                     (f"p{asked.percent:g}", name, unit): value}
         if isinstance(asked, Confidence):

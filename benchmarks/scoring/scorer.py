@@ -15,7 +15,7 @@ from ...estimators.interface import Estimate, Status
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.setting import Quantity
 from ...scenarios.world import Step
-from .kernels import BINS, histogram_medians, quadratic_forms, score_bound, score_errors, score_forms
+from .kernels import BINS, has_gaps, histogram_medians, quadratic_forms, score_bound, score_errors, score_forms
 
 EVERYTHING = np.zeros((0, 0), dtype=bool)
 CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
@@ -79,9 +79,9 @@ class Scorer:
         if len(vector) < len(truth):  # a parameter that is not estimated: no error here, no metric in `finish`
             vector = np.concatenate([vector, truth[len(vector):]])
         scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
-        active, known = step.active, ~np.isnan(truth)
-        last, gaps = self.last, not known.all()
+        active, known, last, gaps = step.active, EVERYTHING, self.last, has_gaps(truth)
         if gaps:
+            known = ~np.isnan(truth)
             scored = known if step.scored is None else known & step.scored
             active, last = active & scored.any(axis=0), self.last.copy()
             truth = np.where(known, truth, vector[:len(truth)])

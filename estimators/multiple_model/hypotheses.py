@@ -22,7 +22,7 @@ from ..kernels.mixing import log_density, mix, moments, weigh
 from ..outliers.base import Reading
 from ..outliers.kernels import look
 from ..outliers.reopening import Memory, Reopening
-from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
+from .stacked import interval_of, measurement_of, noise_of, power_of, repeated, stacked
 
 
 class HypothesesParameters(Parameters):
@@ -72,7 +72,10 @@ class InteractingModels(Estimator):
         return mode_grid.tridiagonal(len(model.modes.modes), self.parameters.stay)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        from scipy.special import chdtri
+
         super().start(model, runs, random)
+        self._limit = float(chdtri(1, 1 - self.parameters.level))
         assert model.modes is not None
         self.modes = model.modes.modes
         self.m = len(self.modes)
@@ -94,7 +97,7 @@ class InteractingModels(Estimator):
         moving = np.ascontiguousarray(interval.moving(self.runs))
         periods = np.asarray(interval.length) / self.model.period
         mix(self.power(periods), self.weight, moving, self.bank._mean, self.bank._covariance)
-        self.bank.predict(read_only(np.tile(u, self.m)), interval_of(interval, self.m))
+        self.bank.predict(read_only(repeated(u, self.m)), interval_of(interval, self.m))
 
     def _gated(self, measurement: Measurement, memory: Memory) -> Measurement:
         """The measurement without what the gate rejects."""
@@ -103,8 +106,6 @@ class InteractingModels(Estimator):
         self.rejected = rejected = np.zeros(measurement.received.shape, dtype=bool)
         if not measurement.received[memory.judged].any():
             return measurement
-        from scipy.special import chdtri
-
         self.estimate()
         x, P = self._mean, self._covariance
         h, predicted = model.measurement_jacobian(x, at), model.measurement(x, at)
@@ -115,7 +116,7 @@ class InteractingModels(Estimator):
             look(x, x, P, np.ascontiguousarray(h[j]), np.ascontiguousarray(measurement.y[j]),
                  np.ascontiguousarray(predicted[j]), got, residual, spread, product)
             reading = Reading(j, residual, spread, np.broadcast_to(R[j, j], runs), got, measurement.time)
-            outside = reading.ratio > chdtri(1, 1 - self.parameters.level)
+            outside = reading.ratio > self._limit
             rejected[j] = got & outside & ~memory.opened(reading)
             memory.note(reading, outside)
         return measurement._replace(received=read_only(measurement.received & ~rejected))

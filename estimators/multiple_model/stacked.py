@@ -19,7 +19,7 @@ from ..kernels.mixing import powers
 def repeated(value: Any, m: int) -> Any:
     """An array whose last axis is the runs, or a number, for m modes."""
     array = np.asarray(value)
-    return value if array.ndim == 0 or array.shape[-1] == 1 else np.tile(array, m)
+    return value if array.ndim == 0 or array.shape[-1] == 1 else np.concatenate([array] * m, axis=-1)
 
 
 def interval_of(interval: Interval, m: int) -> Interval:
@@ -30,8 +30,8 @@ def interval_of(interval: Interval, m: int) -> Interval:
 def measurement_of(measurement: Measurement, m: int) -> Measurement:
     """The measurement for m modes."""
     covariance = measurement.covariance
-    return measurement._replace(y=read_only(np.tile(measurement.y, m)),
-                                received=read_only(np.tile(measurement.received, m)),
+    return measurement._replace(y=read_only(np.concatenate([measurement.y] * m, axis=1)),
+                                received=read_only(np.concatenate([measurement.received] * m, axis=1)),
                                 time=repeated(measurement.time, m),
                                 covariance=None if covariance is None else read_only(repeated(covariance, m)))
 

@@ -51,7 +51,8 @@ class Weighed(NamedTuple):
 
 
 class Elementwise(Estimator):
-    """A Kalman update element after element; subclasses weigh each one. Needs uncorrelated sensor noise."""
+    """A Kalman update element after element; subclasses weigh each one that any run received. Needs uncorrelated
+    sensor noise."""
 
     family = "Outlier-robust"
     bent: bool = False
@@ -93,12 +94,14 @@ class Elementwise(Estimator):
         bad = 0
         for j in range(len(y)):
             received = np.ascontiguousarray(measurement.received[j])
+            if not received.any():
+                continue
             residual, spread = np.empty(self.runs), np.empty(self.runs)
             if j and self.bent:
                 predicted, h, r = self.linear(measurement)
                 start = x.copy()
             look(x, start, self._covariance, h[j], y[j], predicted[j], received, residual, spread, product)
-            noise = np.ascontiguousarray(np.broadcast_to(r[j, j], self.runs))
+            noise = np.full(self.runs, r[j, j, 0]) if r.shape[2] == 1 else r[j, j]
             reading = Reading(j, residual, spread, noise, received, measurement.time)
             weighed = self.weigh(reading)
             bad += correct(x, self._covariance, h[j], product, residual, spread + weighed.noise, weighed.noise,

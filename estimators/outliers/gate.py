@@ -65,10 +65,14 @@ class GatedKalman(_Reopened):
     summary = "EKF with an innovation gate and a rule that opens it again"
     source = "Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 5"
 
-    def judge(self, reading: Reading) -> Weighed:
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         from scipy.special import chdtri
 
-        outside = reading.ratio > chdtri(1, 1 - self.parameters.level)
+        super().start(model, runs, random)
+        self._limit = float(chdtri(1, 1 - self.parameters.level))
+
+    def judge(self, reading: Reading) -> Weighed:
+        outside = reading.ratio > self._limit
         rejected = self._judged(reading, outside)
         return Weighed(reading.noise, np.where(rejected, 0.0, 1.0), rejected)
 

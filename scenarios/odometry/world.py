@@ -61,6 +61,8 @@ class OdometryWorld:
                 reference[step:, 0, runs] = self.passages.told[balises, runs]
                 reference[step:, 1, runs] = self.passages.place[balises, runs]
         object.__setattr__(self, "reference", reference)
+        counts = (self.truth[:, 1] > self.moving) & np.isfinite(reference[:, 1])
+        object.__setattr__(self, "scored", np.broadcast_to(counts[:, None], self.truth.shape))
         slides = self.ride.slipping.astype(float)
         self.extra.update({"since-reference": self.truth[:, 0] - reference[:, 1],
                            "reference-error": reference[:, 0] - reference[:, 1], "slide-a": slides[:, 0],
@@ -68,6 +70,7 @@ class OdometryWorld:
 
     readings: dict[int, list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]]] = field(init=False)
     reference: Array = field(init=False)
+    scored: Mask = field(init=False)
 
     def _readings(self) -> Iterator[tuple[int, list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]]]]:
         """For each step with readings a list of events: (runs, share of the step before it, balise of each run)."""
@@ -115,15 +118,12 @@ class OdometryWorld:
             events.append(Event(at - gone, y, received, covariance))
             gone = at
         events.append(Event(1.0 - gone, self.y[k], self.received[k], self._told(k)))
-        truth, reference = self.truth[k], self.reference[k]
-        counts = (truth[1] > self.moving) & np.isfinite(reference[1])
-        return Step(self.u[k], tuple(events), truth, self.active[k], np.broadcast_to(counts, truth.shape),
-                    self.window[k], k + 1, k * self.period, self.period, reference=reference)
+        return Step(self.u[k], tuple(events), self.truth[k], self.active[k], self.scored[k], self.window[k], k + 1,
+                    k * self.period, self.period, reference=self.reference[k])
 
     def _told(self, k: int) -> Array:
         """What the sensors tell of their readings (ny, ny, S)."""
         ny, runs = self.y.shape[1:]
         out = np.zeros((ny, ny, runs))
-        for i in range(ny):
-            out[i, i] = self.variance[k, i]
+        out.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
         return out

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from ...arrays import Array, Mask
+from ...arrays import Array, Index, Mask
 from ...measurement import Interval, Measurement, told
 from ...model import DesignModel
 from ...schema import Strict
@@ -106,7 +106,7 @@ class Odometer:
 
     def _clock(self, interval: Interval, runs: int) -> tuple[Array, Mask]:
         """Length s, whether it is the whole of its step; (S,) each."""
-        usual = isinstance(interval.length, float) and interval.share == 1.0 and interval.length == self.period
+        usual = self._usual(interval)
         if usual and runs in self.whole:
             return self.whole[runs]
         length = np.array(np.broadcast_to(np.asarray(interval.length, dtype=float), (runs,)))
@@ -168,10 +168,22 @@ class Odometer:
         """Q (nx, nx, S or 1)."""
         if self.told.counting:
             return np.zeros((2, 2, 1))
-        length, whole = self._clock(interval, x.shape[1] if np.ndim(interval.length) else 1)
+        return self._steady if self._usual(interval) else self._covariance(interval, x.shape[1])
+
+    @cached_property
+    def _steady(self) -> Array:
+        """Q of a whole step."""
+        return self._covariance(Interval(1, 0.0, self.period, 1.0), 1)
+
+    def _covariance(self, interval: Interval, runs: int) -> Array:
+        length, whole = self._clock(interval, runs if np.ndim(interval.length) else 1)
         out = np.empty((len(self.states), len(self.states), len(length)))
         compiled.covariance(length, whole, 0.1 * self.told.acceleration**2, self._walks, out)
         return out
+
+    def _usual(self, interval: Interval) -> bool:
+        """Whether it is a whole step of a period, in all runs."""
+        return isinstance(interval.length, float) and interval.share == 1.0 and interval.length == self.period
 
     @cached_property
     def _walks(self) -> Array:
@@ -181,28 +193,28 @@ class Odometer:
         return walks
 
     @cached_property
-    def _rows(self) -> tuple[tuple[int, int], ...]:
-        """For each sensor the state that it reads, and that of its scale, -1 for none. Dead reckoning reads no wheels:
-        their counts are its inputs."""
+    def _rows(self) -> Index:
+        """For each sensor (ny, 2) the state that it reads, and that of its scale, -1 for none. Dead reckoning reads no
+        wheels: their counts are its inputs."""
         def row(name: str) -> tuple[int, int]:
             scale = f"scale-{name.removeprefix('wheel-')}"
             wheel = name in self.wheels and not self.told.counting
             return (S if name in PLACES else TRAVELLED if wheel else V,
                     self.states.index(scale) if scale in self.states else -1)
 
-        return tuple(row(name) for name in self.sensors)
+        return np.array([row(name) for name in self.sensors], dtype=np.int64).reshape(-1, 2)
 
     def measurement(self, x: Array, step: int) -> Array:
         """What the sensors would read (ny, .., S)."""
-        return np.stack([x[moved] if scale < 0 else (1 + x[scale]) * x[moved] for moved, scale in self._rows])
+        points = np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], -1, x.shape[-1])
+        out = np.empty((len(self._rows), *points.shape[1:]))
+        compiled.readings(points, self._rows, out)
+        return out.reshape(-1, *x.shape[1:])
 
     def measurement_jacobian(self, x: Array, step: int) -> Array:
         """dh/dx (ny, nx, S)."""
-        out = np.zeros((len(self.sensors), len(self.states), x.shape[1]))
-        for row, (moved, scale) in zip(out, self._rows, strict=True):
-            row[moved] = 1.0
-            if scale >= 0:
-                row[moved], row[scale] = 1 + x[scale], x[moved]
+        out = np.empty((len(self._rows), len(self.states), x.shape[1]))
+        compiled.reading_jacobian(np.ascontiguousarray(x, dtype=float), self._rows, out)
         return out
 
     def noise(self, slipping: tuple[str, ...] = ()) -> Any:
@@ -238,7 +250,7 @@ class Odometer:
             states=self.states, measurements=self.sensors, period=self.period, transition=self.transition,
             measurement=self.measurement, transition_jacobian=self.jacobian,
             measurement_jacobian=self.measurement_jacobian, process_covariance=self.covariance,
-            linear_measurement=all(scale < 0 for _, scale in self._rows),
+            linear_measurement=bool((self._rows[:, 1] < 0).all()),
             measurement_covariance=self.noise(slipping), initial_mean=mean,
             initial_covariance=np.diag([sd.get(name, start.scale) ** 2 for name in self.states])[:, :, None],
             tells=tells, **parts)

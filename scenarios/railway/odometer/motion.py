@@ -28,6 +28,29 @@ def transition(x, reading, h, fresh, slope, out):  # pyright: ignore
 
 
 @njit(cache=True, error_model="numpy")
+def readings(x, rows, out):  # pyright: ignore
+    """What the sensors would read, out (ny, P, S) of x (nx, P, S): rows (ny, 2) tell of each the state that it reads,
+    and that of its scale, -1 for none."""
+    for j in range(rows.shape[0]):
+        state, scale = rows[j]
+        for p in range(x.shape[1]):
+            for r in range(x.shape[2]):
+                moved = x[state, p, r]
+                out[j, p, r] = moved if scale < 0 else (1.0 + x[scale, p, r]) * moved
+
+
+@njit(cache=True, error_model="numpy")
+def reading_jacobian(x, rows, out):  # pyright: ignore
+    """d/dx of `readings`, out (ny, nx, S) of x (nx, S)."""
+    for j in range(rows.shape[0]):
+        state, scale = rows[j]
+        for i in range(out.shape[1]):
+            for r in range(out.shape[2]):
+                slope = 1.0 + (x[scale, r] if scale >= 0 else 0.0)
+                out[j, i, r] = slope if i == state else x[state, r] if i == scale else 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def jacobian(h, fresh, out):  # pyright: ignore
     """df/dx, out (nx, nx, S). The gradient's steps are left out: they have no width."""
     nx = out.shape[0]
