@@ -132,7 +132,8 @@ class InteractingModels(Estimator):
         assert innovation is not None and innovation.residual is not None and innovation.variance is not None
         total = log_density(innovation.residual, innovation.variance, np.ascontiguousarray(measurement.received))
         loglik = weigh(self.weight, total, heard, self.lost)
-        flag(self, self.lost, Status.failed, "all modes became impossible")
+        if self.lost.any():
+            flag(self, self.lost, Status.failed, "all modes became impossible")
         return Innovation(log_likelihood=loglik)
 
     def estimate(self) -> Estimate:

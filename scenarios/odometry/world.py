@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Mask
+from ..arrays import Array, Mask, read_only
 from ..sensors.balise import Passages
 from ..world import Event, Step
 from .plant import Ride
@@ -53,6 +53,8 @@ class OdometryWorld:
     extra: dict[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("u", "y", "received"):  # what estimators are handed, step by step
+            object.__setattr__(self, name, read_only(getattr(self, name)))
         # the readings in time order: (step, event) -> runs, shares of the step, balises
         object.__setattr__(self, "readings", dict(self._readings()))
         reference = np.full((self.steps, 2, self.truth.shape[2]), np.nan)

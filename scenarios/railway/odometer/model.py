@@ -147,6 +147,10 @@ class Odometer:
             distance = np.where(effort == 0, 0.5 * (counted[0] + counted[1]), np.where(first, *counted))
         else:
             speed, distance = (a, counted[0]) if motion == "wheel-a" else (b, counted[1])
+        if self._usual(interval):
+            out[0] += distance
+            out[1] = speed
+            return out
         share, moves = np.asarray(interval.share, dtype=float), np.asarray(interval.length) > 0
         out[0] = np.where(moves, out[0] + share * distance, out[0])
         out[1] = np.where(moves, speed, out[1])
@@ -224,9 +228,11 @@ class Odometer:
         factor = {i: self.told.gnss_inflation**2 for i, name in enumerate(self.sensors) if name in ("gnss", "position")}
         slip = {i: (self.told.slip.sd * self.period) ** 2 for i, name in enumerate(self.sensors) if name in slipping}
 
+        as_told = not slip and all(f == 1.0 for f in factor.values())
+
         def covariance(measurement: Measurement) -> Array:
             R = plain(measurement)
-            if slip or any(f != 1.0 for f in factor.values()):
+            if not as_told:
                 R = R.copy()
                 for i, f in factor.items():
                     R[i, i] *= f
