@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 import railstate
-from railstate.benchmarks.cli import main
+from railstate.benchmarks.cli import COMMANDS, main
 from railstate.estimators.kalman import Kalman
 
 from ..conftest import SCENARIO
@@ -225,3 +227,14 @@ def test_a_script_without_a_guard(folder: Path) -> None:
     (folder / "script.py").write_text(script)
     done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, check=False, cwd=folder)
     assert done.stdout.splitlines() == ["once", "16 rows in two"], done.stderr
+
+
+def test_the_same_option_has_the_same_default_everywhere() -> None:
+    """In every command and in Python; only what `reproduce` and `check` do asks for another."""
+    usual = {"runs": 100, "seed": 1, "jobs": 0, "keep": 1, "batch": 0, "backend": "local", "scheduler": "",
+             "timeout": 900.0, "memory": 0.0, "overwrite": False}
+    calls = {name: getattr(import_module(f"railstate.benchmarks.commands.{module}"), function)
+             for name, (module, function, _) in COMMANDS.items()}
+    other = {(name, key): one.default for name, call in {"railstate.run": railstate.run, **calls}.items()
+             for key, one in inspect.signature(call).parameters.items() if one.default != usual.get(key, one.default)}
+    assert other == {("reproduce", "runs"): 400, ("check", "timeout"): 300.0}

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from railstate.benchmarks.api.listing import scenario_lines
@@ -266,3 +268,17 @@ def test_every_key_says_what_it_is_and_in_which_unit(railstate: Command) -> None
     time = schema["$defs"]["metro.Time"]["properties"]["period"]
     assert time["description"] == "sampling period [s]" and time["unit"] == "s"
     assert "description" in schema["$defs"]["metro"]["properties"]["base"]
+
+
+def bounded(part: Any) -> Iterator[tuple[int | None, int]]:
+    """(least, most) number of items of each array in a JSON schema that has a most."""
+    if isinstance(part, dict) and part.get("type") == "array" and "maxItems" in part:
+        yield part.get("minItems"), part["maxItems"]
+    for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield from bounded(inner)
+
+
+@pytest.mark.parametrize("kind", sorted(settings()))
+def test_pairs_and_triples_are_just_that(kind: str) -> None:
+    found = list(bounded(settings()[kind].Config.model_json_schema()))
+    assert all(least == most for least, most in found) and (found or kind == "linear")
