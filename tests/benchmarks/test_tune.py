@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import time
 import tomllib
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 from railstate.benchmarks.planning.catalogue import Catalogue
 from railstate.benchmarks.planning.naming import find_one
 from railstate.benchmarks.running.runner import Machinery
+from railstate.benchmarks.studies.deadline import Overdue, within
 from railstate.benchmarks.studies.entries import put
 from railstate.benchmarks.studies.search import Axis, parse_axis, parse_constraint, search
 from railstate.benchmarks.studies.tune import Scored, Task, Tuned, tune
@@ -272,6 +275,18 @@ def test_few_evaluations_come_as_near_as_a_grid_of_hundreds(estimator, over, obj
     assert len(tuned.found.losses) <= evaluations and not tuned.found.edge
     assert tuned.found.loss <= best * (1 + within)
     assert abs(added) < 1.96 * error and error < 0.02
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="there is no such signal here")
+def test_a_deadline_ends_what_takes_too_long_and_nothing_else():
+    before, begun = signal.getsignal(signal.SIGALRM), time.monotonic()
+    with pytest.raises(Overdue), within(0.02):
+        time.sleep(20)
+    assert time.monotonic() - begun < 10
+    with within(0.02):
+        pass
+    time.sleep(0.03)
+    assert signal.getsignal(signal.SIGALRM) is before
 
 
 def test_the_gap_between_training_and_test_with_its_error():
