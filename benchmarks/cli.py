@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -99,7 +99,12 @@ def main() -> None:
     sys.stdout, sys.stderr = map(Cleaned, streams)
     try:
         kept = _end_on_sigterm()
-        app()
+        try:
+            app()
+        finally:
+            _hand_on(streams[0])
+    except BrokenPipeError:
+        raise SystemExit(141) from None
     except SystemExit as ended:
         if ended.code == 1 and type(sys.stdout).__name__ == "PacifyFlushWrapper":  # the reader has gone (`| head`)
             raise SystemExit(141) from None
@@ -108,8 +113,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except OSError as error:  # a place that cannot be read or written
-        place = error.filename2 or error.filename or "input or output"
-        print(f"error: {place}: {error.strerror or error}", file=sys.stderr)
+        print(f"error: {error.filename or 'input or output'}: {error.strerror or error}", file=sys.stderr)
         raise SystemExit(2) from None
     except MemoryError as error:
         print(f"error: not enough memory ({error}): fewer steps, or a smaller --batch", file=sys.stderr)
@@ -126,6 +130,16 @@ def main() -> None:
         sys.stdout, sys.stderr = streams
         for number in kept:
             signal.signal(number, signal.SIG_DFL)
+
+
+def _hand_on(stream: TextIO) -> None:
+    """Write what standard output holds back; what it does not take is dropped: at its end Python would try once more.
+    """
+    try:
+        stream.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        raise
 
 
 def _end_on_sigterm() -> Sequence[int]:

@@ -177,7 +177,7 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
 
 def _unfit_faults(setting: Setting[Any]) -> list[str]:
     """The mistakes of [[faults]] entries that do not fit their setting."""
-    if not setting.config.faults or (setting.needs_file and not _file_given(setting)):
+    if not setting.config.faults or (setting.needs_file and not file_given(setting)):
         return []
     sensing = setting.sensing()
     if sensing is None:
@@ -192,7 +192,8 @@ def _unfit_faults(setting: Setting[Any]) -> list[str]:
     return mistakes
 
 
-def _file_given(setting: Setting[Any]) -> bool:
+def file_given(setting: Setting[Any]) -> bool:
+    """Whether a setting has the file of the user's without which nothing can run."""
     found: Any = setting.config
     for part in setting.needs_file.split("."):
         found = getattr(found, part)

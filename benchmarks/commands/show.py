@@ -19,7 +19,7 @@ from ...scenarios.registry import settings
 from ..api.listing import estimator_lines, scenario_lines
 from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
-from ..planning.plan import check_parameters
+from ..planning.plan import check_variants
 from ..telling.console import print_table, wrapped
 from .options import Sets, overrides
 
@@ -60,7 +60,7 @@ def show(
         raise InputError(f"{error}\nestimators: {', '.join(catalogue.names())}") from None
     config = scenario.setting(variant).config
     alone = name.endswith(f"/{variant}")
-    check_parameters(scenario, [variant] if alone else [one for one in scenario.variants if one == variant
+    check_variants(scenario, [variant] if alone else [one for one in scenario.variants if one == variant
                                                         or one not in scenario.requested], catalogue)
     if keys:
         _show_keys(type(config))

@@ -11,7 +11,7 @@ from typing import Any
 
 from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
-from ...scenarios.files import DISPLAY, Scenario, load
+from ...scenarios.files import DISPLAY, Scenario, file_given, load
 from ...scenarios.registry import scenario_files, setting_of, settings
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
@@ -187,12 +187,15 @@ def _cell(scenario: Scenario, variant: str, only: Sequence[str], catalogue: Cata
     return Cell(scenario.name, variant, scenario.where, scenario.variants[variant], entries) if entries else None
 
 
-def check_parameters(scenario: Scenario, variants: Sequence[str], catalogue: Catalogue) -> None:
-    """Raises InputError where an estimator of one of the variants does not take its parameters. Who is not known here
-    may come with --plugin."""
+def check_variants(scenario: Scenario, variants: Sequence[str], catalogue: Catalogue) -> None:
+    """Raises InputError where a run of one of the variants would: its trip does not end, an estimator does not take its
+    parameters. Who is not known here may come with --plugin."""
     names, seen = catalogue.names(), set[str]()
     for variant in variants:
-        for label, entry in scenario.setting(variant).config.estimators.items():
+        setting = scenario.setting(variant)
+        if not setting.needs_file or file_given(setting):
+            setting.batch_bytes()  # asks how long a trip is
+        for label, entry in setting.config.estimators.items():
             asked = f"{label} {entry.plugin} {entry.parameters}"
             if entry.plugin in names and asked not in seen:
                 seen.add(asked)

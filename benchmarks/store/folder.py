@@ -73,7 +73,7 @@ class Store:
             within(self.folder, kind)
         with locked(self.folder, command):
             self._manifest = None
-            for kind in ("rows", "curves", "trajectories", ""):
+            for kind in (*KINDS, ""):
                 for leftover in (self.folder / kind).glob(".*.[0-9]*"):  # of a process that was killed
                     leftover.unlink(missing_ok=True)
             yield
@@ -125,12 +125,8 @@ class Store:
                 self._write_table(inside(self.folder / kind, f"{stem}.parquet"), table)
 
     def _write_table(self, path: Path, table: pa.Table) -> None:
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
+        with _whole(path) as temporary:
             pq.write_table(table, temporary)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def write_text(self, name: str, text: str) -> None:
         """Write a text file whole or not at all. Raises InputError for a name that leads out of the folder."""
@@ -167,10 +163,7 @@ class Store:
 
     def write_verdicts(self, table: pd.DataFrame) -> None:
         """Write verdicts.parquet."""
-        path = self.folder / "verdicts.parquet"
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        pq.write_table(pa.Table.from_pandas(table, preserve_index=False), temporary)
-        os.replace(temporary, path)
+        self._write_table(self.folder / "verdicts.parquet", pa.Table.from_pandas(table, preserve_index=False))
 
     # -- reading ---------------------------------------------------------------------------------------------------
     def manifest(self) -> dict[str, Any]:
@@ -266,12 +259,21 @@ class Store:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file whole or not at all. Raises OSError naming it."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    with _whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A file beside it that takes its place once it is written."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        temporary.write_text(text, encoding="utf-8")
+        yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(error.errno or 0, error.strerror or str(error), str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)
 
