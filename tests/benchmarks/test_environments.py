@@ -1,4 +1,4 @@
-"""Sixty cells: three commands on twenty machines as they are; permissions bind root too, whose capabilities are dropped.
+"""Sixty cells: three commands on twenty machines as they are; permissions bind root too, without its capabilities.
 
 A cell is right with exit code 0 and nothing on standard error, or with the code and the message that `ENDS` has for it.
 """
@@ -107,7 +107,8 @@ def test_a_machine_as_it_is(railstate: Command, name: str, command: str) -> None
     before = {path: path.read_bytes() for path in (here / "done").rglob("*") if path.is_file()}
     (here / "home").mkdir()
     machine.before(here)
-    asked = {"HOME": "home", "PATH": os.environ["PATH"], "NUMBA_CACHE_DIR": CACHE or None, "LC_ALL": "C.UTF-8", **machine.env}
+    asked = {"HOME": "home", "PATH": os.environ["PATH"], "NUMBA_CACHE_DIR": CACHE or None, "LC_ALL": "C.UTF-8",
+             **machine.env}
     env = {key: str(here / value) if key in ("HOME", "TMPDIR", "PYTHONPATH") else value for key, value in asked.items()
            if value is not None}
 
