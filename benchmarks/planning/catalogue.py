@@ -100,10 +100,9 @@ class Catalogue:
         self._known: dict[str, Described] = {}
         self.loose: list[str] = []
         """Names of the estimators of loose files."""
-        given = {os.path.realpath(path): path for path in reversed(files)}
-        self.files = list(reversed(given))
+        self.files = list(dict.fromkeys(map(os.path.realpath, files)))
         for file in self.files:
-            path = given[file]
+            path = next(path for path in files if os.path.realpath(path) == file)
             what = Path(path).stem if path.endswith(GIVEN) else path
             for found in self._ask(what, said_by_file, file):
                 if found.name in self.loose:

@@ -1,4 +1,4 @@
-"""Sixty cells: three commands on twenty machines as they are; permissions bind root too, without its capabilities.
+"""Sixty cells: three commands on twenty machines as they are; permissions bind root too, who loses capabilities.
 
 A cell is right with exit code 0 and nothing on standard error, or with the code and the message that `ENDS` has for it.
 """
@@ -98,9 +98,9 @@ ENDS = {
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="written for a POSIX shell, /dev/full and Linux's capabilities")
+@pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("name", [
-    name if name == "ASCII" else pytest.param(name, marks=pytest.mark.long) for name in MACHINES])
+@pytest.mark.parametrize("name", MACHINES)
 def test_a_machine_as_it_is(railstate: Command, name: str, command: str) -> None:
     machine, here = MACHINES[name], railstate.folder
     assert railstate(*RUN, "done").code == 0

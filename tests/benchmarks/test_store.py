@@ -187,6 +187,40 @@ def test_a_part_rewritten_by_pandas_is_read(railstate: Command) -> None:
     assert railstate("report", "out").code == 0
 
 
+def test_a_verdict_table_of_other_types_is_made_anew(railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman,ekf", "--runs", 3, "--out", "out")
+    path, first = Path("out/verdicts.parquet"), railstate("table", "out", "--format", "csv")
+    table = pq.read_table(path)
+    for name in ("value", "eligible", "runs", "ratio_low"):
+        odd = pa.array(["odd"] * table.num_rows)
+        pq.write_table(table.set_column(table.column_names.index(name), name, odd), path)
+        assert railstate("table", "out", "--format", "csv") == first and first.code == 0
+
+
+def test_links_lead_nowhere(railstate: Command) -> None:
+    railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+    Path("elsewhere").mkdir()
+    Path("elsewhere/.cart.md.17").write_text("somebody's")
+    for name in ("tables", "rows", "figures"):
+        if Path("out", name).exists():
+            Path("out", name).rename("moved")
+        Path("out", name).symlink_to("../elsewhere")
+        words = ("plot", "out") if name == "figures" else (*CART, "-e", "kalman", "--runs", 3, "--out", "out")
+        refused = railstate(*words)
+        assert refused.code == 2 and refused.err == f"error: out/{name}: is no folder but a link; remove it\n"
+        Path("out", name).unlink()
+        if Path("moved").exists():
+            Path("moved").rename(f"out/{name}")
+    assert [path.name for path in Path("elsewhere").iterdir()] == [".cart.md.17"]
+    for name in ("manifest.json", ".lock", "timing.csv"):
+        Path("out", name).rename("moved")
+        os.mkfifo(f"out/{name}")
+        ended = railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
+        assert ended.code == (0 if name == "timing.csv" else 2) and ended.err.count("\n") == (ended.code > 0), ended
+        if ended.code:
+            os.replace("moved", f"out/{name}")
+
+
 def test_names_from_a_folder_lead_nowhere(tmp_path: Path, railstate: Command) -> None:
     railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out")
     text = Path("out/manifest.json").read_text()
