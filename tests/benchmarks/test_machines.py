@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 
@@ -47,3 +48,18 @@ def test_the_list_of_commands_has_a_whole_line_for_each(railstate: Command) -> N
         assert f"  {name:10} {line}\n" in text
         command = cli.load(name)
         assert command.name == name and command.help
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
+def test_a_command_leaves_the_signals_as_they_were(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that end a process by default end it like Ctrl-C meanwhile, and by default again afterwards."""
+    numbers, during = (signal.SIGTERM, signal.SIGHUP), []
+    before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
+    try:
+        monkeypatch.setattr(cli, "version", lambda name: str(during.extend(map(signal.getsignal, numbers))))
+        assert railstate("--version").code == 0
+        assert during == [signal.default_int_handler] * 2
+        assert [signal.getsignal(number) for number in numbers] == [signal.SIG_DFL] * 2
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
