@@ -1,7 +1,7 @@
 """timing.csv: what a design, one step of one run, and a run-step of a batch cost.
 
-Latency is measured here, after the rows, on one thread, and in this process but for plug-ins; throughput comes from the
-rows."""
+Latency is measured after the rows, on one thread each, by as many processes as computed these, plug-ins in one of their
+own; throughput comes from the rows."""
 
 from __future__ import annotations
 
@@ -19,42 +19,52 @@ from ..planning.plan import Cell, Plan, own
 from ..scoring.columns import TIMING
 from .drive import prepare
 from .loop import Loop, Observer
+from .machinery import Machinery
 
 WARM_UP, STEPS, SAMPLES, SECONDS = 5, 334, 1000, 0.15
+FEW = 8
+"""So many are measured in this process: others would have to start, or load their machine code, first."""
 AGREED = 1.1
 """Two passes agree where their medians are this near."""
 
 
-def timing_table(plan: Plan, rows: pd.DataFrame, timeout: float, memory: int = 0) -> pd.DataFrame:
+def timing_table(plan: Plan, rows: pd.DataFrame, machinery: Machinery) -> pd.DataFrame:
     """One line per cell and estimator, columns `TIMING`; NaN for estimators that cannot be designed, and for plug-ins
-    that die or take longer than `timeout` seconds."""
-    return pd.DataFrame(list(_lines(plan, rows, timeout, memory)), columns=list(TIMING))
+    that die or take longer than the machinery's timeout."""
+    return pd.DataFrame(list(_lines(plan, rows, machinery)), columns=list(TIMING))
 
 
-def _lines(plan: Plan, rows: pd.DataFrame, timeout: float, memory: int) -> Iterator[dict[str, Any]]:
-    from threadpoolctl import threadpool_limits
-
+def _lines(plan: Plan, rows: pd.DataFrame, machinery: Machinery) -> Iterator[dict[str, Any]]:
     throughput = _throughput(rows)
-    with threadpool_limits(1), np.errstate(all="ignore"):
-        for cell in plan.cells:
-            for label in cell.entries:
-                design, latencies = _measured(plan, cell, label, rows, timeout, memory)
-                yield {"scenario": cell.scenario, "variant": cell.variant, "estimator": label, "design_s": design,
-                       "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
-                       "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
-                       "samples": len(latencies),
-                       "throughput_ns": throughput.get((cell.scenario, cell.variant, label), np.nan),
-                       "sampling_period_s": cell.setting().sampling_period}
+    ours = _ours([(cell, label) for cell in plan.cells for label in cell.entries if own(cell, label)], plan.seed,
+                 machinery.jobs)
+    for cell in plan.cells:
+        for label in cell.entries:
+            design, latencies = next(ours) if own(cell, label) else _measured(plan, cell, label, rows, machinery)
+            yield {"scenario": cell.scenario, "variant": cell.variant, "estimator": label, "design_s": design,
+                   "latency_us_median": 1e6 * float(np.median(latencies)) if len(latencies) else np.nan,
+                   "latency_us_p99": 1e6 * float(np.quantile(latencies, 0.99)) if len(latencies) else np.nan,
+                   "samples": len(latencies),
+                   "throughput_ns": throughput.get((cell.scenario, cell.variant, label), np.nan),
+                   "sampling_period_s": cell.setting().sampling_period}
 
 
-def _measured(plan: Plan, cell: Cell, label: str, rows: pd.DataFrame, timeout: float,
-              memory: int) -> tuple[float, list[float]]:
-    """Design seconds and latencies; none of a plug-in that never finished a run."""
-    if own(cell, label):
-        return measure(cell, label, plan.seed)
+def _ours(pairs: list[tuple[Cell, str]], seed: int, jobs: int) -> Iterator[tuple[float, list[float]]]:
+    """Design seconds and latencies of the suite's own estimators, in the order of the pairs."""
+    if jobs == 1 or len(pairs) <= FEW:
+        return (measure(cell, label, seed) for cell, label in pairs)
+    import joblib
+
+    parallel = joblib.Parallel(n_jobs=jobs, backend="loky", return_as="generator", pre_dispatch="2*n_jobs")
+    return parallel(joblib.delayed(measure)(cell, label, seed) for cell, label in pairs)  # pyright: ignore
+
+
+def _measured(plan: Plan, cell: Cell, label: str, rows: pd.DataFrame,
+              machinery: Machinery) -> tuple[float, list[float]]:
+    """Design seconds and latencies of a plug-in; none of one that never finished a run."""
     mine = (rows["scenario"] == cell.scenario) & (rows["variant"] == cell.variant) & (rows["estimator"] == label)
     if set(rows.loc[mine, "status"]) & {"ok", "diverged"}:
-        with plan.catalogue.process(cell.entries[label].plugin, timeout, memory) as process:
+        with plan.catalogue.process(cell.entries[label].plugin, machinery.timeout, machinery.allowed()) as process:
             found = process.call(measure, cell, label, plan.seed)
         with suppress(TypeError, ValueError):
             return float(found[0]), [float(value) for value in found[1]]
@@ -72,8 +82,15 @@ def _throughput(rows: pd.DataFrame) -> dict[Any, float]:
 
 def measure(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
     """Design seconds and the seconds of each of some `SAMPLES` steps of one run (prediction, update, estimate), in
-    passes over its first `STEPS`. A pass is warm-up, and left out, until the next agrees with it, and so are each one's
-    first steps; slow estimators are cut off by time."""
+    passes over its first `STEPS`, on one thread. A pass is warm-up, and left out, until the next agrees with it, and so
+    are each one's first steps; slow estimators are cut off by time."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1), np.errstate(all="ignore"):
+        return _timed(cell, label, seed)
+
+
+def _timed(cell: Cell, label: str, seed: int) -> tuple[float, list[float]]:
     setting, entry = cell.setting(), cell.entries[label]
     streams = Streams(seed, cell.scenario, cell.variant, (0,))
     try:

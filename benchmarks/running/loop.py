@@ -106,12 +106,11 @@ class Loop:
                     spent += perf_counter() - begun
                     observer.measured(step, measurement, innovation)
                     begun = perf_counter()
-            if late and (number == last or every):
-                estimate = self._estimate()
-                self.mean = estimate.mean
+            after = self._estimate() if late and (number == last or every) else None
             spent += perf_counter() - begun
-            if late and (number == last or every):
-                observer.updated(step, number, estimate)
+            if after is not None:
+                self.mean = after.mean
+                observer.updated(step, number, after)
         begun = perf_counter()
         if self.world.closed_loop and not late:
             self.mean = self._estimate().mean

@@ -103,7 +103,7 @@ def _fill(store: Store, growth: Growth, machinery: Machinery, command: str, timi
             label: entry for label, entry in cell.entries.items() if (cell.key, label) in untimed})]
         if not all(own(cell, label) for cell in some for label in cell.entries):
             write_tables(store, rows)  # first: a plug-in may take its time
-        new = timing_table(replace(plan, cells=tuple(some)), rows, machinery.timeout, machinery.allowed())
+        new = timing_table(replace(plan, cells=tuple(some)), rows, machinery)
         store.write_timing(new)
     write_tables(store, rows)
     store.finish(rows=len(rows), statuses=rows["status"].value_counts().to_dict(), tables=makers)
