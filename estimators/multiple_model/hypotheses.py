@@ -22,7 +22,7 @@ from ..kernels.mixing import log_density, mix, moments, weigh
 from ..outliers.base import Reading
 from ..outliers.kernels import look
 from ..outliers.reopening import Memory, Reopening
-from .stacked import interval_of, measurement_of, noise_of, power_of, repeated, stacked
+from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
 
 
 class HypothesesParameters(Parameters):
@@ -97,7 +97,7 @@ class InteractingModels(Estimator):
         moving = np.ascontiguousarray(interval.moving(self.runs))
         periods = np.asarray(interval.length) / self.model.period
         mix(self.power(periods), self.weight, moving, self.bank._mean, self.bank._covariance)
-        self.bank.predict(read_only(repeated(u, self.m)), interval_of(interval, self.m))
+        self.bank.predict(read_only(np.concatenate([u] * self.m, axis=1)), interval_of(interval, self.m))
 
     def _gated(self, measurement: Measurement, memory: Memory) -> Measurement:
         """The measurement without what the gate rejects."""
