@@ -75,9 +75,9 @@ def _gathered(cloud, weights, noise, mean, covariance, width):
 
 
 @kernel
-def _draw(mean, covariance, scale, factor, inverse, points, deviations, failed, width):
+def _draw(mean, covariance, scale, factor, inverse, points, failed, width):
     """Sigma points mean +- scale L_i (n, m, >= width), L the Cholesky factor of covariance (into factor); m = 2 n, or
-    2 n + 1 with the mean first. deviations: the same without the mean, exactly symmetric."""
+    2 n + 1 with the mean first."""
     n, m = points.shape[0], points.shape[1]
     factorise(covariance, factor, inverse, failed, False, width)
     for s in range(width):
@@ -88,29 +88,33 @@ def _draw(mean, covariance, scale, factor, inverse, points, deviations, failed, 
     for a in range(n):
         middle = mean[a]
         if centre:
-            point, deviation = points[a, 0], deviations[a, 0]
+            point = points[a, 0]
             for s in range(width):
                 point[s] = middle[s]
-                deviation[s] = 0.0
         for i in range(n):
-            column = factor[a, i]
-            up, down = deviations[a, centre + i], deviations[a, centre + n + i]
+            column, over, under = factor[a, i], points[a, centre + i], points[a, centre + n + i]
             for s in range(width):
-                up[s] = scale * column[s]
-                down[s] = -up[s]
-            over, under = points[a, centre + i], points[a, centre + n + i]
-            for s in range(width):
-                over[s] = middle[s] + up[s]
-                under[s] = middle[s] - up[s]
+                away = scale * column[s]
+                over[s] = middle[s] + away
+                under[s] = middle[s] - away
 
 
 @kernel
 def sigma_points(mean, covariance, scale, points, deviations, failed):
-    """Draw points and deviations (nx, m, S), see `_draw`, for all runs. failed (S,) is set, and the run's points NaN,
-    where the covariance (nx, nx, S) is indefinite. Returns how many runs failed here."""
+    """Draw points (nx, m, S), see `_draw`, for all runs, and their deviations from the mean, exactly symmetric. failed
+    (S,) is set, and the run's points NaN, where the covariance (nx, nx, S) is indefinite. Returns how many runs failed
+    here."""
     n, runs = mean.shape
     lost, factor, inverse = np.zeros(runs, np.bool_), np.empty((n, n, runs)), np.empty((n, runs))
-    _draw(mean, covariance, scale, factor, inverse, points, deviations, lost, runs)
+    _draw(mean, covariance, scale, factor, inverse, points, lost, runs)
+    centre = points.shape[1] - 2 * n
+    for a in range(n):
+        for s in range(runs if centre else 0):
+            deviations[a, 0, s] = 0.0
+        for i in range(n):
+            for s in range(runs):
+                deviations[a, centre + i, s] = scale * factor[a, i, s]
+                deviations[a, centre + n + i, s] = -deviations[a, centre + i, s]
     for s in range(runs):
         failed[s] |= lost[s]
     return lost.sum()
@@ -145,7 +149,7 @@ def unscented_predict(model, u, seconds, data, index, weights, scale, q, mean, c
             if not whole:
                 gather2(mean, part, width, x)
                 gather3(covariance, part, width, p)
-            _draw(x, p, scale, factor, inverse, points, cloud, lost, width)
+            _draw(x, p, scale, factor, inverse, points, lost, width)
             call(model, points, inputs, times, data, m, width, wide, cloud)
             for s in range(width):
                 failed[part[s]] |= lost[s]
