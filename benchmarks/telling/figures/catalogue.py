@@ -21,7 +21,8 @@ from .requirements import claim_against_error, error_under_allowance, width_agai
 from .sections import errors_by_section
 from .trust import certified_against_measured, nees_over_time, nis_over_time
 
-APART = f"Of more than {CROWD} entries it shows each family's best by the first quantity; railstate plot --entries chooses."
+APART = (f"Of more than {CROWD} entries it shows each family's best by the first quantity; railstate plot --entries "
+         "chooses.")
 
 
 @dataclass(frozen=True)
