@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from railstate.benchmarks.scoring.faults import FaultScores
+from railstate.benchmarks.scoring.faults import FaultScores, fault_table
 from railstate.estimators.interface import Estimate
 from railstate.scenarios.faults import Jump, Outliers
 from railstate.scenarios.measurement import Measurement
@@ -72,3 +72,12 @@ def test_the_command_line_breaks_filters_down(railstate):
     plain, same = rows("plain", "ekf"), rows(none, "ekf")
     names = [name for name in plain.columns if name != "seconds"]
     pd.testing.assert_frame_equal(plain[names], same[names], check_exact=True)
+
+
+def test_what_tables_show_of_faults() -> None:
+    place, speed = Quantity("position", "m", ((0, 1.0),)), Quantity("speed", "m/s", ((1, 1.0),))
+    gap = Quantity("gap", "m", ((0, 1.0), (1, -1.0)))
+    readings = (("first-alarm", "readings"), ("hits", "readings"), ("false-alarms", "readings"))
+    assert fault_table([object()], (speed, gap, place)) == (("locked", "position"), ("recovery", "position"), *readings)
+    assert fault_table([object()], (speed, gap)) == readings  # nothing that could be lost
+    assert fault_table([], (place, speed)) == ()

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from railstate.benchmarks.telling.figures.canvas import DARK, LIGHT, Canvas
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, drawn
 from railstate.benchmarks.telling.figures.data import Curve, Results, assign_styles, load_results
 from railstate.benchmarks.telling.figures.errors import binned_rms
+from railstate.benchmarks.telling.figures.recorded import recorded_trip
 from railstate.scenarios.errors import InputError
 
 from ..synthetic_results import BRAKING, CBTC, METRO, PERIOD, write_results
@@ -222,3 +224,11 @@ def test_figures_without_kept_runs_are_left_out(tmp_path: Path) -> None:
     assert {"error-over-time", "headway", "nees"} <= names
     assert {figure.name for figure in FIGURES} >= names
     assert bare.scenarios["ningbo-metro"][0].period == PERIOD
+
+
+def test_a_trip_shows_every_entry_in_speed_and_in_position(results: Results) -> None:
+    cell = results.scenarios["ningbo-metro"][0]
+    canvas = recorded_trip(cell)
+    assert canvas is not None
+    lines = Counter(re.findall("<path[^>]*><title>(.*?)</title>", canvas.svg()))
+    assert lines == {"reference": 1, **dict.fromkeys(METRO, 2)}
