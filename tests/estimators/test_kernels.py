@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from decimal import Decimal, localcontext
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from railstate.estimators.kernels import core as kernels
-from railstate.estimators.kernels.kalman import kalman_update, shared_kalman_update
+from railstate.estimators.kernels.kalman import in_turn, kalman_update, shared_kalman_update
 from railstate.scenarios.model import product
 from scipy.stats import multivariate_normal, norm
 
@@ -180,3 +181,21 @@ def test_model_product_equals_numpy() -> None:
     for shape in ((5, 1), (5, 4, 9), (5, 0)):
         x = draw(*shape)
         np.testing.assert_allclose(product(matrix, x), np.tensordot(matrix, x, 1), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("ny", [1, 2, 3])
+def test_innovations_in_turn_are_conditional_gaussians(ny: int) -> None:
+    """Of correlated elements each after those received before it: without what is expected of it, and its variance."""
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(ny, ny + 1))
+    spread, runs = root @ root.T, 2**ny
+    received = np.array(list(itertools.product([False, True], repeat=ny))).T
+    given = np.where(received, rng.normal(size=(ny, runs)), 0.0)
+    found, variance = given.copy(), np.empty((ny, runs))
+    in_turn(spread[:, :, None].copy(), received, found, variance)
+    for s in range(runs):
+        for j in np.flatnonzero(received[:, s]):
+            before = np.flatnonzero(received[:j, s])
+            gain = np.linalg.solve(spread[np.ix_(before, before)], spread[before, j])
+            assert found[j, s] == pytest.approx(given[j, s] - gain @ given[before, s], rel=1e-10)
+            assert variance[j, s] == pytest.approx(spread[j, j] - gain @ spread[before, j], rel=1e-10)
