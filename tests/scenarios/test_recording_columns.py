@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from railstate.scenarios import units
 from railstate.scenarios.recorded.columns import Cells, Column
 from railstate.scenarios.recorded.inspecting import suggested
 from railstate.scenarios.recorded.readers import Table
@@ -48,3 +49,20 @@ def test_dates_that_nanoseconds_cannot_hold_keep_their_distances() -> None:
     found, kind = seconds(Table("t", pa.table({"time": dates}), ""), Column("time"), "", Cells())
     np.testing.assert_array_equal(found, [0.0, np.nan, 10.0])
     assert kind == "dates and times without zone"
+
+
+def test_units_agree_with_each_other() -> None:
+    time, length, speed, force = units.TIMES, units.LENGTHS, units.SPEEDS, units.ACCELERATIONS
+    assert [time[name] for name in ("s", "sec", "min", "h")] == [1, 1, 60, 3600]
+    assert [1 / time[name] for name in ("ms", "us", "µs", "ns")] == pytest.approx([1e3, 1e6, 1e6, 1e9])
+    assert [length[name] for name in ("m", "km", "cm", "mm")] == [1, 1000, 0.01, 0.001]
+    assert length["mi"] == pytest.approx(5280 * length["ft"]) and length["ft"] == pytest.approx(12 * 0.0254)
+    for names, per, of in ((("m/s", "mps"), "m", "s"), (("km/h", "kmh", "kph"), "km", "h"), (("mph",), "mi", "h"),
+                           (("ft/s",), "ft", "s"), (("cm/s",), "cm", "s")):
+        assert [speed[name] for name in names] == pytest.approx([length[per] / time[of]] * len(names))
+    assert 3600 * speed["kn"] == pytest.approx(1852)  # a nautical mile
+    assert {force[name] for name in ("m/s^2", "m/s2", "m/s²", "mps2")} == {1.0} and force["g"] == 9.80665
+    assert units.ANGLES == {"deg": 1.0, "°": 1.0} and units.MASSES == {"kg": 1.0, "t": 1000.0}
+    assert units.SHARES == {"-": 1.0, "share": 1.0, "%": 0.01, "percent": 0.01}
+    assert units.SLOPES == {"-": 1.0, "permil": 0.001, "%": 0.01}
+    assert units.FORCES == {"N": 1.0, "kN": 1000.0} and units.POWERS == {"W": 1.0, "kW": 1000.0, "MW": 1e6}
