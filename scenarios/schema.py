@@ -76,7 +76,7 @@ class Tuned(Strict):
 class EstimatorEntry(Strict):
     """One estimator of the scenario under its own label."""
 
-    plugin: Annotated[str, key("name of an installed estimator (`railstate list`)")]
+    plugin: Annotated[Label, key("name of an installed estimator (`railstate list`)")]
     parameters: Annotated[dict[str, Any], key("its parameters (`railstate show NAME`)")] = {}
     knowledge: Annotated[dict[str, Any], key("what it is told otherwise than [knowledge] says")] = {}
     augment: Annotated[dict[str, Augment], key("extra states of those that the setting offers, by name")] = {}

@@ -152,7 +152,8 @@ def test_mutated_files_end_in_one_message_or_run(railstate: Command, number: int
                 wrong.append(f"seed {seed}, {name}: show {shown}: {err[-1500:]}")
             ran, err = told(railstate, "run", "file.toml", "--runs", 1, "--jobs", 1, "--out", f"out{seed}", "--quiet")
             ended[f"show {shown}, run {ran}"] += 1
-            if ran not in (0, 2) or "Traceback" in err or (shown == 0 and ran != 0):
+            loose = "there is no estimator" in err  # who may come with --plugin
+            if ran not in (0, 2) or "Traceback" in err or (shown == 0 and ran != 0 and not loose):
                 wrong.append(f"seed {seed}, {name}: show {shown}, run {ran}: {err[-1500:]}")
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, limits)
