@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from railstate.benchmarks.telling.estimators import record
+from railstate.benchmarks.telling.markup import to_latex, to_markdown
 from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
 from railstate.benchmarks.telling.report import plots
 from railstate.benchmarks.telling.report.tuned import tuned_table
@@ -176,3 +177,15 @@ def test_the_record_of_an_estimator_in_words() -> None:
     assert record("other", [replace(full(), entries=plugins)]) == [
         "Least error, or tied with it, in 0 of 2 rankings.", "Undecided in 2."]
     assert record("nobody's", [replace(full(), entries=plugins)]) == []
+
+
+def test_a_table_for_files() -> None:
+    frame = pd.DataFrame({"entry": ["a_b", "c"], "step [µs]": ["12.0", "1.5·10⁻⁵"], "ratio": ["1", "2.00 [1.8, 2.2]"]})
+    assert to_latex("s/v & 5 %", frame, ["± is half.", "of a_b"]).splitlines() == [
+        r"\begin{table}", r"\centering", r"\caption{s/v \& 5 \%}", r"\begin{tabular}{lrr}", r"\toprule",
+        r"entry & step [$\mu$s] & ratio \\", r"\midrule", r"a\_b & 12.0 & 1 \\",
+        r"c & 1.5$\cdot$10$^{-5}$ & 2.00 [1.8, 2.2] \\", r"\bottomrule", r"\end{tabular}",
+        r"\par\footnotesize $\pm$ is half.", r"\par\footnotesize of a\_b", r"\end{table}"]
+    assert to_markdown("s/v & 5 %", frame, ["± is half.", "a|b"]).splitlines() == [
+        "## s/v & 5 %", "", "| entry | step [µs] | ratio |", "| --- | ---: | ---: |", "| a_b | 12.0 | 1 |",
+        "| c | 1.5·10⁻⁵ | 2.00 [1.8, 2.2] |", "", "- ± is half.", r"- a\|b"]
