@@ -120,12 +120,12 @@ class Sensors(Strict):
             noise = random.normal(steps, 2)
             noise *= bar / 3
             return noise
-        noise = random.uniform(-1.0, 1.0, steps, 2)
         if self.noise == "uniform":
+            noise = random.uniform(-1.0, 1.0, steps, 2)
             noise *= bar
             return noise
         bias = np.stack([wave(random, self.period, steps, period) for _ in range(2)], axis=1)
-        return bar * (self.share * bias + (1 - self.share) * noise)
+        return bar * (self.share * bias + (1 - self.share) * random.uniform(-1.0, 1.0, steps, 2))
 
 
 def wave(random: RunRandom, range_: list[float], steps: int, period: float) -> Array:
