@@ -26,11 +26,6 @@ from ..synthetic_results import BRAKING, CBTC, METRO, PERIOD, write_results
 SERIES = {LIGHT[f"c{i}"] for i in range(8)}
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return load_results(write_results(tmp_path_factory.mktemp("figures") / "run"))
-
-
 def test_every_figure_the_data_allow_is_drawn_for_every_variant(results: Results) -> None:
     found = {(figure.name, scenario, variant) for figure, scenario, variant, _ in drawn(results)}
     cells = [(cell.scenario, cell.variant) for cells in results.scenarios.values() for cell in cells]

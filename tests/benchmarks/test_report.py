@@ -1,50 +1,32 @@
-"""What people read: sentences, terminal and page say what the verdict table says, and nothing of their own.
-
-The page is parsed here; a real browser opens it in `test_report_browser.py`."""
+"""The report's page and its tables, parsed; a real browser opens it in `test_report_browser.py`."""
 
 from __future__ import annotations
 
-import io
 import itertools
-import json
 import re
-import time
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 from railstate.benchmarks.commands.report import report
-from railstate.benchmarks.judging.selection import Aligned
 from railstate.benchmarks.store.folder import Store
-from railstate.benchmarks.telling import console, sentences, wording
-from railstate.benchmarks.telling.figures.data import Results, load_results
-from railstate.benchmarks.telling.marks import ASCII, MARKS, drawn
-from railstate.benchmarks.telling.rankings import Cell, Ranking
+from railstate.benchmarks.telling import sentences, wording
+from railstate.benchmarks.telling.figures.data import Results
+from railstate.benchmarks.telling.rankings import Cell
 from railstate.benchmarks.telling.report import write_report
 from railstate.benchmarks.telling.report.matrix import anchor, matrix
 from railstate.benchmarks.telling.report.published import papers, sentence
 from railstate.benchmarks.telling.report.sections import Entry, failures, fault_table, table
-from railstate.benchmarks.telling.results import print_results, print_results_json
 from railstate.scenarios.errors import InputError
 
 from ..synthetic_results import BRAKING, CBTC, METRO, write_results
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return load_results(write_results(tmp_path_factory.mktemp("report") / "run"))
+from .test_sentences import cell_of
 
 
 @pytest.fixture(scope="module")
 def html(results: Results) -> str:
     return write_report(results.folder).read_text(encoding="utf-8")
-
-
-def cell_of(results: Results, key: str) -> Cell:
-    return next(found.cell for cells in results.scenarios.values() for found in cells if found.key == key)
 
 
 def entry(cell: Cell, label: str, head: str) -> Entry:
@@ -53,215 +35,6 @@ def entry(cell: Cell, label: str, head: str) -> Entry:
     return next(entries for name, entries in made.lines if name == label)[column]
 
 
-# -- sentences -----------------------------------------------------------------------------------------------------
-def test_every_number_of_a_finding_is_the_verdict_tables(results: Results) -> None:
-    """Each sentence is taken apart; its numbers are looked up in the table and worded anew here."""
-    for cells in results.scenarios.values():
-        for found in cells:
-            lines = results.verdicts[(results.verdicts["scenario"] == found.scenario)
-                                     & (results.verdicts["variant"] == found.variant)
-                                     & (results.verdicts["kind"] == "error")]
-            for ranking in found.cell.rankings:
-                mine = lines[(lines["metric"] == ranking.metric) & (lines["quantity"] == ranking.quantity)].set_index(
-                    "estimator")
-                text = sentences.finding(found.cell, ranking)
-                value, half, best, runs = re.search(  # type: ignore[union-attr]
-                    r"least [\w -]+? ([\d.]+) ± ([\d.]+)[^(]*\(([\w-]+), (\d+) runs\)", text).groups()
-                row = mine.loc[best]
-                assert row["verdict"] == "best" and int(runs) == row["runs"]
-                digit = 0.51 * 10.0 ** -len(half.partition(".")[2])
-                assert float(value) == pytest.approx(row["value"] * row["factor"], abs=digit)
-                assert float(half) == pytest.approx((row["high"] - row["low"]) / 2 * row["factor"], abs=digit)
-                for name, size, low, high in re.findall(r"([\w-]+) \(([+−\d.]+) % \[([+−\d.]+), ([+−\d.]+)\]", text):
-                    shown = [float(number.replace("−", "-")) for number in (size, low, high)]
-                    assert shown == pytest.approx([100 * (mine.loc[name, c] - 1) for c in (
-                        "ratio", "ratio_low", "ratio_high")], abs=0.51)
-                for name, size, low, high in re.findall(r"([\w-]+) \(([\d.]+) times \[([\d.]+), ([\d.]+)\]", text):
-                    assert [float(size), float(low), float(high)] == pytest.approx(
-                        [mine.loc[name, c] for c in ("ratio", "ratio_low", "ratio_high")], rel=0.06)
-                counts = re.search(r"Worse: (\d+) of (\d+)", text)
-                assert (int(counts[1]) if counts else 0) == (mine["verdict"] == "worse").sum()
-                if counts:
-                    assert int(counts[2]) == (~mine["verdict"].isin(["oracle", "none"])).sum()
-                ties = re.search(r"Tied, within 1 %: ([\w, -]+)\.", text)
-                assert (set(ties[1].split(", ")) if ties else set()) == set(mine.index[mine["verdict"] == "tie"])
-
-
-def test_counts_over_a_folder_are_the_verdict_tables(results: Results) -> None:
-    errors = results.verdicts[results.verdicts["kind"] == "error"]
-    claims = results.verdicts[(results.verdicts["kind"] == "consistency") & (results.verdicts["metric"] == "nees")]
-    first, second = sentences.over_all([c.cell for cells in results.scenarios.values() for c in cells], 24)
-    compared, worse, ties, undecided, lost = map(int, re.findall(r"\d+", first.replace("1 %", ""))[1:6])
-    words = [drawn(line) for line in errors.to_dict("records")]
-    assert [worse, ties, undecided, lost] == [words.count(word) for word in ("worse", "tie", "undecided", "lost")]
-    assert compared == worse + ties + undecided + lost
-    assert f"Lost runs: {(results.rows['status'] != 'ok').sum()} of {len(results.rows)}." in second
-    assert f"Of {len(claims)} covariance claims {(claims['verdict'] == 'too sure').sum()} are too sure" in second
-
-
-def test_a_scenario_over_its_variants(results: Results) -> None:
-    position, speed = sentences.over_variants([cell.cell for cell in results.scenarios["ningbo-metro"]])
-    assert position == ("Position, 3 variants. Best or tied in 2: ekf, ukf; in 1: robust-mean-square. Worse in every "
-                        "variant: ekf-inflated, robust-ellipsoid, ekf-naive.")
-    assert speed.startswith("Speed, 3 variants.")
-    assert sentences.over_variants([cell.cell for cell in results.scenarios["braking-rate"]]) == []
-
-
-def test_claims_and_lost_runs_are_said(results: Results) -> None:
-    told = sentences.claims_of(cell_of(results, "ningbo-metro/switching"))
-    assert re.fullmatch(r"Claims: too sure 1 of 4, most ekf-naive \(ANEES 9\.\d+; 1 is right\)\. Too unsure: "
-                        r"ekf-inflated\. robust-ellipsoid left its set in 1 of 24 runs\.", told)
-    table3 = cell_of(results, "cbtc-csma/table3")
-    said = sentences.finding(table3, table3.rankings[0])
-    assert "Lost runs: fastest-decay 24 of 24; ranked after every entry" in said
-    assert "exceeds its certified bound: 1." in sentences.claims_of(cell_of(results, "cbtc-csma/uniform"))
-
-
-def test_who_is_worse_than_no_error_has_no_ratio(results: Results) -> None:
-    cell = cell_of(results, "ningbo-metro/switching")
-    lines = [dict(item, value=0.0, low=0.0, high=0.0) if item["verdict"] == "best" else
-             dict(item, ratio=np.inf, ratio_low=np.inf, ratio_high=np.inf, verdict="worse")
-             for item in cell.rankings[0].lines]
-    exact = Ranking.of(lines)
-    assert sentences.finding(cell, exact).startswith("Position: least RMSE 0 m (ekf, 24 runs). Worse: 5 of 6, than no "
-                                                     "error at all: ukf,")
-    assert "∞" not in sentences.finding(cell, exact) + sentences.short_finding(cell, exact)
-
-
-def test_smoothers_are_told_apart_from_filters(results: Results) -> None:
-    cell = cell_of(results, "ningbo-metro/switching")
-    apart = [dict(item, estimator=f"s-{item['estimator']}", against="s-ekf", value=item["value"] / 2)
-             for item in cell.rankings[0].lines if item["estimator"] in ("ekf", "ukf")]
-    both = Ranking.of([*apart, *cell.rankings[0].lines], {"s-ekf", "s-ukf"})
-    assert both.best and both.best["estimator"] == "ekf" and len(both.ranked) == 6
-    said = sentences.finding(cell, both)
-    assert said.startswith(sentences.finding(cell, cell.rankings[0]))
-    assert re.search(r"Smoothers, ranked among themselves: least 0\.0\d+ ± 0\.0\d+ m \(s-ekf\)\.$", said)
-
-
-def line(ratio: float, low: float = np.nan, high: float = np.nan, **facts: object) -> dict[str, object]:
-    return {"ratio": ratio, "ratio_low": low, "ratio_high": high, "verdict": "worse", **facts}
-
-
-def test_changes_ratios_and_long_lists() -> None:
-    assert wording.change_interval(line(1.15, 1.0004, 1.31)) == "+15 % [+0.04, +31]"
-    assert wording.change_interval(line(0.8, 0.7, 0.9)) == "−20 % [−30, −10]"
-    assert wording.change_interval(line(2.0, 1.5, 2.6)) == "2.0 times [1.5, 2.6]"
-    assert [wording.ratio(value) for value in (1.0, 1.0021, 1.29, 12.34, 345.6, 9.996)] == [
-        "1.00", "1.00", "1.29", "12.3", "346", "10.0"]
-    assert wording.ratio_of(line(1.0021)) == "1.002"  # called worse: not 1.00
-    assert wording.ratio_interval(line(1.15, 1.002, 1.29)) == "[1.002, 1.29]"
-    assert wording.some(["a", "b", "c", "d", "e"]) == "a, b, c, d, e"
-    assert wording.some(["a", "b", "c", "d", "e", "f"]) == "a, b, c, d and 2 others"
-    assert [wording.deciding({"deciding": runs}) for runs in (38, 12_345, 2e6, np.nan, np.inf)] == [
-        "40 runs", "12,000 runs", "more than 100,000 runs", "", ""]
-    assert wording.split_error(0.12345, 0.0021) == ("0.1235", "0.0021")
-    assert wording.split_error(1.2e-7, 3e-9) == ("1.200·10⁻⁷", "0.030·10⁻⁷")
-    assert [wording.capital(name) for name in ("position", "f", "x1")] == ["Position", "f", "x1"]
-
-
-def test_runs_are_paired_by_their_number_and_only_those_that_all_have_count() -> None:
-    frame = pd.DataFrame({"estimator": ["a", "a", "a", "b", "b"], "run": [0, 1, 2, 2, 0], "status": "ok",
-                          "rmse:x:m": [1.0, 5.0, 3.0, 4.0, 2.0]})
-    aligned = Aligned(frame)
-    assert aligned.values("rmse:x:m").tolist() == [[1.0, 3.0], [2.0, 4.0]]
-    assert (aligned.runs, aligned.left_out, aligned.labels) == (2, 1, ["a", "b"])
-
-
-@pytest.mark.parametrize(("share", "text"), [(1.0, "100 %"), (0.0, "0 %"), (0.99996, "99.996 %"), (0.123, "12 %"),
-                                             (0.0004, "0.04 %"), (0.067, "6.7 %"), (float("nan"), "–")])
-def test_percentages_never_round_to_certainty(share: float, text: str) -> None:
-    assert wording.percent(share) == text
-
-
-@pytest.mark.parametrize(("value", "text"), [(0.1136, "0.114"), (158.914, "159"), (5160.4, "5160"), (1e-7, "1.00·10⁻⁷"),
-                                             (0, "0"), (float("inf"), "∞"), (-2.5, "−2.50")])
-def test_numbers_have_few_digits(value: float, text: str) -> None:
-    assert wording.number(value) == text
-
-
-# -- terminal ------------------------------------------------------------------------------------------------------
-def printed(results: Results, monkeypatch: pytest.MonkeyPatch, encoding: str = "utf-8",
-            columns: int | None = 80) -> str:
-    raw = io.BytesIO()
-    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(raw, encoding=encoding, write_through=True))
-    monkeypatch.delenv("COLUMNS", raising=False)
-    if columns:
-        monkeypatch.setenv("COLUMNS", str(columns))
-    print_results(Store(results.folder))
-    return raw.getvalue().decode(encoding)
-
-
-@pytest.mark.parametrize(("columns", "most"), [(80, 80), (100, 100), (140, 120), (None, 120)])
-def test_no_line_is_wider_than_the_output_and_names_stand_with_verdicts(
-        results: Results, monkeypatch: pytest.MonkeyPatch, columns: int | None, most: int) -> None:
-    text = printed(results, monkeypatch, columns=columns)
-    long = [line for line in text.splitlines() if len(line) > most]
-    assert not [line for line in long if str(results.folder) not in line]  # a path is not broken
-    for label in METRO:
-        assert re.search(rf"^{label} +[★=?▲✕] ", text, re.MULTILINE), label
-    assert ("[" in text.split("RMSE position")[1].split("ukf ")[1].splitlines()[0]) == (most >= 100)
-    assert text.count("★ best  = tie, within 1 %") == 1
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
-def test_signs_of_an_output_that_knows_few_letters(results: Results, monkeypatch: pytest.MonkeyPatch,
-                                                   encoding: str) -> None:
-    text = printed(results, monkeypatch, encoding)
-    half = "+-" if encoding == "ascii" else "±"
-    assert re.search(rf"^ekf +\* 0\.0\d+ {re.escape(half)}0\.\d+", text, re.MULTILINE)
-    assert "x 24 of 24 lost" in text
-    assert not re.search(r"\?[a-z0-9]", text.replace("? undecided", ""))
-    assert max(len(line) for line in text.splitlines() if str(results.folder) not in line) <= 80
-
-
-def test_every_sign_has_its_ascii_form_and_only_one_meaning_an_area() -> None:
-    for mark in MARKS.values():
-        for sign in mark.sign:
-            assert sign.isascii() or ASCII[sign].isascii()
-    verdicts = [MARKS[word].sign for word in ("best", "tie", "undecided", "better", "worse", "lost", "oracle")]
-    assert len(set(verdicts)) == len(verdicts)
-
-
-def test_lost_entries_have_no_value_and_the_command_is_there(results: Results, monkeypatch: pytest.MonkeyPatch,
-                                                             capsys: pytest.CaptureFixture[str]) -> None:
-    text = printed(results, monkeypatch)
-    assert re.search(r"^fastest-decay +✕ 24 of 24 lost +✕ 24 of 24 lost$", text, re.MULTILINE)
-    assert "railstate replay cbtc-csma/uniform/direct/3" in text
-    assert "936 rows: 910 ok, 24 infeasible, 2 diverged" in text
-    monkeypatch.undo()
-    print_results_json(Store(results.folder))
-    told = json.loads(capsys.readouterr().out)
-    assert told["rows"] == 936 and len(told["verdicts"]) == len(results.verdicts)
-
-
-def test_any_table_is_stacked_or_wrapped_at_the_outputs_width(monkeypatch: pytest.MonkeyPatch,
-                                                               capsys: pytest.CaptureFixture[str]) -> None:
-    frame = pd.DataFrame([{"estimator": f"an-entry-{i}", "about": "words " * 40,
-                           **{f"metric {k}": f"{k}.{i}" for k in range(12)}} for i in (1, 2)])
-    monkeypatch.setenv("COLUMNS", "80")
-    console.print_table("A title", frame, ["A note of many words. " * 8])
-    lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80
-    assert sum(line.startswith("an-entry-1 ") for line in lines) > 1 and sum("11.2" in line for line in lines) == 1
-    assert " ".join(lines).count("words") == 2 * 40 + 8
-
-
-def test_a_log_gets_a_line_a_minute_and_quiet_none(monkeypatch: pytest.MonkeyPatch,
-                                                   capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(console, "MINUTE", 0.02)
-    for quiet in (False, True):
-        console.hush(quiet)
-        with console.progress(10, "rows") as advance:
-            advance(4, "cart/calm")
-            time.sleep(0.1)
-        told = capsys.readouterr().err.splitlines()
-        assert (told == []) == quiet
-        assert all(line.startswith("0 min: 4/10 rows, cart/calm, about 0 min left") for line in told)
-    console.hush(False)
-
-
-# -- the page ------------------------------------------------------------------------------------------------------
 class Page(HTMLParser):
     """Collects what a test wants to know of a page."""
 

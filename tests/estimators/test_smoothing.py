@@ -14,7 +14,7 @@ from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.measurement import Measurement
 
 from .. import models
-from .test_kalman_family import joint_posterior
+from .test_kalman_answers import joint_posterior
 
 Found = dict[int, Estimate]
 
