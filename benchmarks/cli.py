@@ -22,6 +22,9 @@ from ..scenarios.errors import InputError, Interrupted
 from .isolation.server import worded
 from .telling.cleaning import Cleaned, visible
 
+for _library in ("OPENBLAS", "OMP", "MKL"):  # for matrices of a few states threads take longer than they save
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
 COMMANDS = {
     "run": ("run", "run", "Run estimators on scenarios and print the tables."),
     "list": ("show", "list_", "List scenarios and estimators."),

@@ -132,13 +132,17 @@ class Slow(Half):
 '''
 
 
+FIRST = ("test_documents.py", "test_packaging.py")
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long", default="none", metavar="none|all|SHARE:SEED",
                      help="the studies marked long: none of them, all, or a drawn share (0.1:7)")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the studies marked long that --long does not ask for; a share is drawn by each one's own name."""
+    """Leave out the studies marked long that --long does not ask for; a share is drawn by each one's own name. Files of
+    tests that each take long go first: at the end the other process would wait for them."""
     wanted, _, seed = str(config.getoption("--long")).partition(":")
     share = {"none": 0.0, "all": 1.0}.get(wanted)
     share = float(wanted) if share is None else share
@@ -148,7 +152,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return item.get_closest_marker("long") is not None and int.from_bytes(drawn[:4]) >= share * 2**32
 
     config.hook.pytest_deselected(items=[item for item in items if left_out(item)])
-    items[:] = [item for item in items if not left_out(item)]
+    items[:] = sorted((item for item in items if not left_out(item)), key=lambda item: item.path.name not in FIRST)
 
 
 @dataclass

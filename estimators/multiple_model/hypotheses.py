@@ -19,7 +19,7 @@ from .. import mode_grid
 from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
 from ..kalman import ExtendedKalman
 from ..kernels.mixing import log_density, mix, moments, weigh
-from ..outliers.base import Reading
+from ..outliers.base import Reading, ratio_limit
 from ..outliers.kernels import look
 from ..outliers.reopening import Memory, Reopening
 from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
@@ -72,10 +72,8 @@ class InteractingModels(Estimator):
         return mode_grid.tridiagonal(len(model.modes.modes), self.parameters.stay)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
-        from scipy.special import chdtri
-
         super().start(model, runs, random)
-        self._limit = float(chdtri(1, 1 - self.parameters.level))
+        self._limit = ratio_limit(self.parameters.level)
         assert model.modes is not None
         self.modes = model.modes.modes
         self.m = len(self.modes)

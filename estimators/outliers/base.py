@@ -42,6 +42,13 @@ class Reading(NamedTuple):
         return self.residual * self.residual / self.variance
 
 
+def ratio_limit(level: float) -> float:
+    """What the ratio of a good reading exceeds with probability 1 - level: a chi-square quantile, one degree."""
+    from scipy.special import chdtri
+
+    return float(chdtri(1, 1 - level))
+
+
 class Weighed(NamedTuple):
     """How a reading is taken in: with noise variance (S,) and weight (S,); rejected (S,): it raised an alarm."""
 

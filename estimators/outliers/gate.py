@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat
 from ...scenarios.arrays import Mask
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from .base import ElementwiseKalman, Reading, Weighed
+from .base import ElementwiseKalman, Reading, Weighed, ratio_limit
 from .kernels import association
 from .reopening import Memory, Reopening
 
@@ -66,10 +66,8 @@ class GatedKalman(_Reopened):
     source = "Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 5"
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
-        from scipy.special import chdtri
-
         super().start(model, runs, random)
-        self._limit = float(chdtri(1, 1 - self.parameters.level))
+        self._limit = ratio_limit(self.parameters.level)
 
     def judge(self, reading: Reading) -> Weighed:
         outside = reading.ratio > self._limit

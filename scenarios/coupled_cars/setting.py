@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -122,19 +123,21 @@ class CoupledCars(Setting[CoupledCarsConfig]):
 
     def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
         """The resistive force of each car in units of its delta_i, in place of white noise; it is smooth in truth."""
-        plant, delta = self._matrices(), self._delta(self.resolve_knowledge(knowledge))
-        scaled = plant.E * delta
+        delta = self._delta(self.resolve_knowledge(knowledge))
 
-        def entering(column: Array) -> Callable[[Interval], Array]:
+        @cache
+        def columns() -> Array:  # not before a model asks: a file is read with every entry's extras
+            return np.ascontiguousarray((self._matrices().E * delta).T)[:, :, None]
+
+        def entering(car: int) -> Callable[[Interval], Array]:
             def gain(interval: Interval) -> Array:
                 whole_steps(interval, "the force of a car")
-                return column
+                return columns()[car]
 
             return gain
 
-        return {"force": tuple(
-            Extra(f"force {i + 1}", "delta_i", "walk", 0.01, start_sd=0.2, instead=1.0,
-                  gain=entering(np.ascontiguousarray(scaled[:, i:i + 1]))) for i in range(self.cars))}
+        return {"force": tuple(Extra(f"force {i + 1}", "delta_i", "walk", 0.01, start_sd=0.2, instead=1.0,
+                                     gain=entering(i)) for i in range(self.cars))}
 
     def outcomes(self, world: Any, metrics: Mapping[tuple[str, str], Array]) -> dict[Outcome, Array]:
         """Headway time in seconds, headway distance H_D in metres and trains per hour at each speed; the train's safety

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -86,6 +88,15 @@ def plugin(folder: Path, rule: str) -> Path:
     return file
 
 
+@pytest.fixture(scope="module")
+def once() -> Iterator[None]:
+    """Each built-in scenario is read once for all built-in estimators."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(tapes, "find", cache(tapes.find))
+        yield
+
+
+@pytest.mark.usefixtures("once")
 @pytest.mark.parametrize("name", sorted(estimators()))
 def test_every_built_in_keeps_every_rule(name: str) -> None:
     report = check(estimators()[name], name, {})
