@@ -64,27 +64,17 @@ def test_files_and_their_columns(railstate: Command) -> None:
     assert "cart/rough" in done.out and "24 rows: 24 ok" in done.out and done.err == ""
 
 
-@pytest.mark.parametrize("words", [
-    ("--jobs", "2"), ("--batch", "7"), ("--batch", "1000"), ("--jobs", "2", "--batch", "5")], ids=" ".join)
-def test_rows_do_not_depend_on_the_machinery(railstate: Command, words: tuple[str, ...]) -> None:
-    common = (*CART, "--estimators", "half,slow,kalman", "--runs", 20)
-    assert railstate(*common, "--jobs", 1, "--out", "one").code == 0
-    assert railstate(*common, *words, "--out", "two").code == 0
-    same(rows("one"), rows("two"))
-
-
-def test_adding_and_permuting_estimators_moves_nothing(railstate: Command) -> None:
-    railstate(*CART, "--estimators", "half", "--runs", 9, "--out", "one")
-    railstate(*CART, "--estimators", "slow,kalman,half", "--runs", 9, "--out", "more")
-    more = rows("more")
-    same(rows("one"), more[more["estimator"] == "half"].reset_index(drop=True))
-
-
-def test_runs_are_nested(railstate: Command) -> None:
-    railstate(*CART, "--estimators", "half", "--runs", 5, "--out", "few")
-    railstate(*CART, "--estimators", "half", "--runs", 15, "--out", "many")
-    many = rows("many")
-    same(rows("few"), many[many["run"] < 5].reset_index(drop=True))
+def test_rows_depend_on_no_machinery_no_neighbour_and_no_number_of_runs(railstate: Command) -> None:
+    words = (*CART, "--estimators", "half,slow,kalman", "--runs", 12)
+    assert railstate(*words, "--jobs", 1, "--out", "one").code == 0
+    one = rows("one")
+    for number, more in enumerate((("--jobs", 2), ("--batch", 5), ("--batch", 1000), ("--jobs", 2, "--batch", 5))):
+        assert railstate(*words, *more, "--out", f"out{number}").code == 0
+        same(one, rows(f"out{number}"))
+    for number, labels in enumerate(("half", "kalman,half")):
+        railstate(*CART, "--estimators", labels, "--runs", 5, "--jobs", 1, "--out", f"few{number}")
+        part = one[(one["run"] < 5) & one["estimator"].isin(labels.split(","))].reset_index(drop=True)
+        same(rows(f"few{number}"), part)
 
 
 def test_another_seed_is_another_truth(railstate: Command) -> None:
@@ -93,36 +83,26 @@ def test_another_seed_is_another_truth(railstate: Command) -> None:
     assert not np.isclose(rows("one")["rmse:position:m"], rows("two")["rmse:position:m"]).any()
 
 
-def test_a_killed_run_resumes_to_the_same_rows(railstate: Command) -> None:
-    words = [*CART, "--estimators", "slow,half", "--runs", "12", "--batch", "2", "--jobs", "1"]
+def test_a_run_killed_and_then_interrupted_resumes_to_the_same_rows(railstate: Command) -> None:
+    words = [*CART, "--estimators", "slow,half", "--runs", "8", "--batch", "2", "--jobs", "1"]
     railstate(*words, "--out", "whole")
     program = [sys.executable, "-c", "from railstate.benchmarks.cli import main; main()"]
-    process = subprocess.Popen([*program, *words, "--out", "killed"], cwd=railstate.folder, stdout=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while len(list((railstate.folder / "killed" / "rows").glob("*.parquet"))) < 2:
-        assert time.monotonic() < deadline and process.poll() is None
-        time.sleep(0.02)
-    process.kill()
-    process.wait()
-    assert 0 < len(rows("killed")) < len(rows("whole"))
-    again = railstate(*words, "--out", "killed")
+    for act, code, parts in ((signal.SIGKILL, -signal.SIGKILL, 2), (signal.SIGINT, 130, 5)):
+        process = subprocess.Popen(  # a shell has what it starts in the background ignore the signal
+            [*program, *words, "--out", "cut"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+        deadline = time.monotonic() + 60
+        while len(list(Path("cut/rows").glob("*.parquet"))) < parts:
+            assert time.monotonic() < deadline and process.poll() is None
+            time.sleep(0.02)
+        os.kill(process.pid, act)
+        err = process.communicate(timeout=60)[1]
+        assert process.returncode == code and "Traceback" not in err
+        assert 0 < len(rows("cut")) < len(rows("whole"))
+    assert "interrupted" in err and "continues" in err
+    again = railstate(*words, "--out", "cut")
     assert again.code == 0, again.err
-    same(rows("whole"), rows("killed"))
-
-
-def test_interrupt_leaves_finished_rows_and_says_how_to_continue(railstate: Command) -> None:
-    words = [*CART, "--estimators", "slow", "--runs", "20", "--batch", "1", "--jobs", "1", "--out", "out"]
-    program = [sys.executable, "-c", "from railstate.benchmarks.cli import main; main()"]
-    process = subprocess.Popen(  # a shell has what it starts in the background ignore the signal
-        [*program, *words], cwd=railstate.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
-    while not list((railstate.folder / "out" / "rows").glob("*.parquet")):
-        time.sleep(0.02)
-    os.kill(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "interrupted" in err and "continues" in err and "Traceback" not in err
-    assert len(rows("out")) >= 1
+    same(rows("whole"), rows("cut"))
 
 
 def test_another_configuration_is_refused(railstate: Command) -> None:
