@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import hashlib
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from railstate.benchmarks import cli
+
+from .expected import compare
 
 SCENARIO = """
 name = "cart"
@@ -138,6 +141,7 @@ FIRST = ("test_documents.py", "test_packaging.py")
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long", default="none", metavar="none|all|SHARE:SEED",
                      help="the studies marked long: none of them, all, or a drawn share (0.1:7)")
+    parser.addoption("--rewrite", action="store_true", help="write anew what tests/expected holds")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -153,6 +157,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     config.hook.pytest_deselected(items=[item for item in items if left_out(item)])
     items[:] = sorted((item for item in items if not left_out(item)), key=lambda item: item.path.name not in FIRST)
+
+
+@pytest.fixture
+def expected(request: pytest.FixtureRequest) -> Callable[[str, str], None]:
+    """Compares a text with the committed one of that name."""
+    return lambda name, text: compare(name, text, request.config.getoption("--rewrite"))
 
 
 @dataclass

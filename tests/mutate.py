@@ -30,6 +30,7 @@ PRELOADED = ("numba", "pandas", "pyarrow.parquet", "pyarrow.compute", "scipy.lin
              "scipy.optimize", "scipy.signal", "matplotlib.pyplot", "pydantic", "typer", "rich.console",
              "rich.progress", "jinja2", "joblib", "cvxpy", "hypothesis", "pytest", "threadpoolctl", "filterpy.kalman")
 """What a trial need not import anew: libraries, nothing of ours."""
+FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 JIT = re.compile(r"^ *@(njit|kernel|compiled)\b|\bcompiled\(", re.MULTILINE)
 
 
@@ -212,15 +213,25 @@ class Tests:
         return found
 
 
+def failing(folder: Path, tree: Path, names: list[str]) -> set[str]:
+    """Those of the tests that fail here without any fault: what they need is not there for the other user."""
+    log = folder / "sound.log"
+    if not names or ended(child(folder, tree, folder / "cache", names, log, []), 60 + 20 * len(names)) == 0:
+        return set()
+    return set(FAILED.findall(log.read_text(errors="replace")))
+
+
 def attempt(folder: Path, tree: Path, options: argparse.Namespace) -> None:
     """Try drawn faults one after the other; a line of JSON each in tried.jsonl."""
     tests, faults = Tests(folder, tree), drawn(tree, options.seed, options.modules, options.each)
     only = set(map(int, options.only.split(","))) if options.only else set(range(len(faults)))
     done = folder / f"tried{options.name}.jsonl"
-    for number, fault in enumerate(faults):
-        if number not in only:
-            continue
-        chosen, text = tests.of(fault, options.seconds), tests.text[fault.path]
+    mine = {number: tests.of(fault, options.seconds) for number, fault in enumerate(faults) if number in only}
+    unfit = failing(folder, tree, sorted(set().union(*mine.values())))
+    print(f"{len(unfit)} tests fail without a fault: left out", *sorted(unfit), sep="\n  ", flush=True)
+    for number, names in mine.items():
+        fault, chosen = faults[number], [name for name in names if name not in unfit]
+        text = tests.text[fault.path]
         place = tree / fault.path
         before = place.stat()
         begun, how = time.monotonic(), "no test reaches it"
@@ -237,7 +248,7 @@ def attempt(folder: Path, tree: Path, options: argparse.Namespace) -> None:
                 os.utime(place, ns=(before.st_atime_ns, before.st_mtime_ns))
         line = text.splitlines()[fault.line - 1].strip()
         log = (folder / "trial.log").read_text(errors="replace") if chosen else ""
-        by = re.findall(r"^(?:FAILED|ERROR) (\S+)", log, re.MULTILINE)
+        by = FAILED.findall(log)
         said = {"number": number, "how": how, "path": fault.path, "line": fault.line, "new": fault.new, "text": line,
                 "old": text[fault.begin:fault.end][:80], "tests": len(chosen), "by": by[:1],
                 "seconds": round(time.monotonic() - begun)}

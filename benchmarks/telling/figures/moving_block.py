@@ -57,7 +57,7 @@ def track(cell: CellResults) -> Canvas | None:
         for train in "ab":
             true, believed = ([cell.kept[name, f"{kind}{axis}-{train}"].truth for axis in "yx"]
                               for kind in ("", "estimate-"))
-            steps = np.flatnonzero(np.isfinite(true[0]))
+            steps = np.flatnonzero(np.isfinite(true[0]) & np.isfinite(believed[0]))
             steps = steps[thinned(len(steps), INSTANTS)]
             was, thought = (panel.points(y[steps] * 100, x[steps] * 100) for y, x in (true, believed))
             for here, there in zip(was, thought, strict=True):

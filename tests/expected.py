@@ -1,0 +1,69 @@
+"""What the tool prints, draws and computes, whole, as committed text in `tests/expected/`.
+
+A change that is meant to change it: `pytest --rewrite tests/benchmarks/test_expected.py`, then read the difference."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+FOLDER = Path(__file__).parent / "expected"
+NUMBER = re.compile(r"-?\d+\.\d{5,}(?:e[+-]\d+)?|-?\d\.\d+e[+-]\d+")
+"""A number of so many digits that machines may differ in the last of them: compared to 1e-6 of its size."""
+
+
+def alike(old: str, new: str) -> bool:
+    """Whether two lines say the same: words and short numbers to the letter, long numbers to 1e-6."""
+    return NUMBER.sub("#", old) == NUMBER.sub("#", new) and all(
+        math.isclose(float(a), float(b), rel_tol=1e-6, abs_tol=1e-12)
+        for a, b in zip(NUMBER.findall(old), NUMBER.findall(new), strict=True))
+
+
+def compare(name: str, text: str, rewrite: object) -> None:
+    """Assert that the text is what `expected/name.txt` holds, or write it there."""
+    path = FOLDER / f"{name}.txt"
+    new = [line.rstrip() for line in text.splitlines()]
+    if rewrite:
+        path.write_text("\n".join(new) + "\n", encoding="utf-8")
+    old = path.read_text(encoding="utf-8").splitlines()
+    differ = [number for number, pair in enumerate(zip(old, new, strict=False)) if not alike(*pair)]
+    if differ or len(old) != len(new):
+        shown = list(difflib.unified_diff(old, new, f"expected/{name}.txt", "now", lineterm="", n=0))
+        raise AssertionError("\n".join([*shown[:40], "meant to change: pytest --rewrite, see tests/expected.py"]))
+
+
+def figure(svg: str) -> str:
+    """An SVG element: a line each text (place, style, words), and of all paths of one style how many, how many points,
+    their box and their sum, or what they are where they are few letters."""
+    root = ElementTree.fromstring(svg)
+    lines, paths = list[str](), dict[str, list[Any]]()
+    for node in root.iter():
+        facts = dict(node.attrib)
+        data = facts.pop("d", "")
+        said = " ".join([node.tag.rpartition("}")[2], *(facts.values()), (node.text or "").strip(),
+                         *(child.text or "" for child in node if node is not root and child.tag.endswith("title"))])
+        if re.fullmatch(r"M[\d -]+l[\d -]+z?", data):
+            steps = np.array(re.findall(r"-?\d+", data), int).reshape(-1, 2)
+            paths.setdefault(said + " closed" * data.endswith("z"), []).append(np.cumsum(steps, axis=0))
+        elif not node.tag.endswith("title") or node.text == root[0].text:
+            lines.append(f"{said} {data if len(data) < 60 else f'{len(data)} {data[:24]} .. {data[-24:]}'}")
+    for said, each in paths.items():
+        points = np.concatenate(each)
+        lines.append(f"{said} {len(each)} of {len(points)}: {points.min(0)} {points.max(0)} {points.sum(0)}")
+    return "\n".join(lines)
+
+
+def page(html: str) -> str:
+    """A page, a line each element; without styles, scripts and canvases, other drawings as `figure` has them."""
+    html = re.sub(r"<(style|script).*?</\1>", "", html, flags=re.DOTALL)
+    html = re.sub(r'<svg viewBox="[^"]*" role="img" aria-label.*?</svg>', r"<svg>", html, flags=re.DOTALL)
+    html = re.sub(r"<svg .*?</svg>", lambda found: f"\n{figure(found[0])}\n", html, flags=re.DOTALL)
+    parts = re.split(r"\n|(?=<(?:tr|p|h\d|table|div|section|li|figure|details|dl|dt)\b)", html)
+    return "\n".join(line for part in parts if (line := part.strip()) and not re.fullmatch(r"(</\w+>\s*)+", line))
+
