@@ -9,6 +9,7 @@ import inspect
 import pkgutil
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
 from enum import Enum
 from types import ModuleType
 from typing import Any
@@ -53,7 +54,8 @@ def fields(model: type[BaseModel]) -> Iterator[str]:
         admitted = re.sub(r"\w+\.(?=\w)|FieldInfo\(|annotation=NoneType, required=True, |description=(['\"]).*?\1[,)]"
                           r"|json_schema_extra=\{.*?\}| at 0x\w+|\s+", " ", said)
         default = "" if field.is_required() else f" = {shown(field.get_default(call_default_factory=True))}"
-        yield f"  {name}:{re.sub(' +', ' ', ' ' + admitted)}{default}".rstrip()
+        told = "" if field.description else " (not described)"
+        yield f"  {name}:{re.sub(' +', ' ', ' ' + admitted)}{default}{told}".rstrip()
 
 
 def defaults(name: str, thing: Callable[..., Any]) -> Iterator[str]:
@@ -77,6 +79,9 @@ def of(module: ModuleType) -> Iterator[str]:
         if inspect.isclass(value) and issubclass(value, BaseModel):
             yield from (f"  {name}.{line.strip()}" for line in fields(value))
         elif inspect.isclass(value):
+            if is_dataclass(value):
+                flags = value.__dataclass_params__  # pyright: ignore[reportAttributeAccessIssue]
+                yield f"  {name}:{' frozen' * flags.frozen}{' eq' * flags.eq}{' order' * flags.order}"
             yield from defaults(name, value)
             for part, method in vars(value).items():
                 if inspect.isfunction(method) and (part == "__call__" or not part.startswith("__")):
