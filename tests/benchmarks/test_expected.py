@@ -26,7 +26,7 @@ from railstate.benchmarks.telling.figures.data import Results, load_results
 from railstate.benchmarks.telling.report.page import render
 from railstate.benchmarks.telling.results import print_results, print_results_json
 
-from ..conftest import Command
+from ..conftest import SCENARIO, Command
 from ..expected import figure, page
 
 Expected = Callable[[str, str], None]
@@ -143,3 +143,38 @@ def test_rows_of_short_runs(short: list[Store], expected: Expected) -> None:
                 if ":" in str(name) and column.notna().any():
                     out.append(f"  {name} {' '.join(f'{value:.8e}' for value in column)}")
     expected("rows", "\n".join(out))
+
+
+CART = SCENARIO.replace('[estimators.half]\nplugin = "half"', "\n".join(
+    f'[estimators.{label}]\nplugin = "{plugin}"' for label, plugin in (
+        ("kalman", "kalman"), ("ukf", "ukf"), ("held", "dead-reckoning"), ("certified", "robust-mean-square"))))
+
+
+def test_commands(railstate: Command, expected: Expected, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A session with a small scenario: whatever each command says."""
+    monkeypatch.setattr(complete, "timing_table", _timing)
+    Path("cart.toml").write_text(CART)
+    for item in EXAMPLES.iterdir():
+        Path(item.name).write_bytes(item.read_bytes())
+    text = Path("tram.csv").read_text().splitlines()
+    Path("torn.csv").write_text("\n".join([*text[:20], text[12], *text[20:40], *text[60:]]))
+    Path("new").mkdir()
+    few = ("--runs", 21, "--jobs", 1)
+    out = []
+    for words in (
+            ("run", "cart.toml", *few, "--out", "A"),
+            ("run", "cart.toml/calm", *few, "--out", "B", "--set", "estimators.held.plugin=direct-kalman"),
+            ("run", "cart.toml/calm", *few, "--out", "B", "-e", "kalman,held", "--set", "estimators.held.plugin=ekf"),
+            ("run", "cart.toml/calm", *few, "--out", "C", "--until", "rmse:position=50%"),
+            ("compare", "A", "B"), ("compare", "B", "C"), ("verify", "A"), ("replay", "cart/calm/ukf/3", "--out", "A"),
+            ("show", "kalman", "--out", "A"), ("show", "cart.toml", "--keys"), ("design", "cart.toml/calm"),
+            ("inspect", "tram.csv"), ("inspect", "metro.csv"), ("inspect", "fixes.csv"), ("inspect", "torn.csv"),
+            ("check", "kalman"), ("sweep", "cart.toml/calm", "--over", "channel.p=0.5,0.9", *few, "--out", "S"),
+            ("report", "S"), ("plot", "A", "--figure", "nees", "--out", "plots"),
+            ("table", "A", "--format", "md", "--quantities", "position"), ("new", "estimator", "mine", "--in", "new"),
+            ("new", "scenario", "yours", "--in", "new")):
+        done = railstate(*words)
+        out += [f"$ railstate {' '.join(map(str, words))} # {done.code}", done.out, done.err]
+    out += ["S/report.html", page(Path("S/report.html").read_text()).partition('id="provenance"')[0]]
+    out += [f"{path}\n{path.read_text()}" for path in sorted(Path("new").rglob("*")) if path.is_file()]
+    expected("commands", "\n".join(out).replace(str(Path.cwd()), "."))
