@@ -181,5 +181,6 @@ def test_commands(railstate: Command, expected: Expected, monkeypatch: pytest.Mo
         done = railstate(*words)
         out += [f"$ railstate {' '.join(map(str, words))} # {done.code}", done.out, done.err]
     out += ["S/report.html", page(Path("S/report.html").read_text()).partition('id="provenance"')[0]]
+    out += [f"{path}\n{figure(path.read_text())}" for path in sorted(Path("S").glob("*.svg"))]
     out += [f"{path}\n{path.read_text()}" for path in sorted(Path("new").rglob("*")) if path.is_file()]
     expected("commands", "\n".join(out).replace(str(Path.cwd()), "."))

@@ -1,0 +1,88 @@
+"""What scenario files may say at the edge of what they may not: each line refused with its whole message, or accepted.
+
+The answers are in `tests/expected/refusals.txt`."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+
+from railstate.benchmarks.planning.naming import find_one
+from railstate.scenarios.errors import InputError
+
+CASES = """
+ningbo-metro plant.line.stops=[0.0,0.0] plant.line.stops=[100.0,50.0] plant.line.stops=[-5.0,1900.0]
+  plant.line.speed_limits=[[0.0,0.0]] plant.line.speed_limits=[[0.0,22.0],[0.05,21.0]]
+  plant.line.speed_limits=[[0.0,22.0],[0.1,21.0]] plant.line.speed_limits=[[0.0,22.0],[900.0,1.1]]
+  plant.line.gradients=[[0.0,0.2]] plant.line.gradients=[[0.0,0.21]] plant.line.gradients=[[0.0,0.09]]
+  plant.line.gradients=[[0.0,-0.15]] plant.loads=[200000.0,210000.0] plant.start_speed=30.0 plant.start_speed=0.0
+  plant.train.max_speed=1.0 plant.controller.effort=[0.1,0.9] plant.controller.effort=[-1.0,0.0]
+  plant.controller.overrun=0.0 disturbance.period=[60.0,15.0] disturbance.period=[15.0,15.0]
+  disturbance.amplitude=[0.5,1.1] disturbance.amplitude=[1.0,1.0] disturbance.amplitude=[0.9,0.5]
+  disturbance.w_bar=0.0 channel={"kind":"delay","steps":[3,1]} channel={"kind":"delay","steps":[1,1]}
+  faults=[{"kind":"jump","sensors":["position"],"size":3.0,"truth":True}]
+  faults=[{"kind":"jump","sensors":["position"],"size":3.0,"truth":False}]
+  faults=[{"kind":"stuck","sensors":["sonar"],"from":1.0,"to":2.0}]
+  faults=[{"kind":"stuck","sensors":["speed"],"from":2.0,"to":2.0}]
+  faults=[{"kind":"stuck","sensors":["speed"],"from":1.0,"to":2.0,"lasts":3.0}]
+  faults=[{"kind":"student-t","sensors":["speed"],"dof":3.0,"told":True}]
+  faults=[{"kind":"drift","sensors":["speed"],"rate":0.1},{"kind":"drift","sensors":["speed"],"rate":0.1}]
+odometry plant.balises.positions=[10.0,12.0] plant.balises.positions=[10.0,11.9] plant.balises.platforms=[8884.0]
+  plant.balises.every=500.0 plant.driver.asked=[0.0,0.8] plant.driver.asked=[-0.85,0.8] plant.driver.asked=[-0.86,0.8]
+  plant.driver.courage=[1.0,0.9] plant.driver.dwell=[20.0,20.0] plant.tunnels=[[5.0,5.0]]
+  plant.tunnels=[[5.0,9.0],[8.0,10.0]] plant.adhesion.friction=[0.0,0.1] plant.adhesion.friction=[0.1,0.05]
+  plant.adhesion.friction=[0.05,0.05] plant.adhesion.strength=[-0.1,0.3] plant.line.gradients=[[0.0,0.15]]
+  sensors.use=["sonar"]
+cbtc-csma plant.cars=3 plant.masses=[1.0] plant.commands=[[1,0.5]] channel.trains=[5,2] channel.trains=[2,2]
+  channel.traffic=constant headway.speeds=[65.0,65.5] channel={"kind":"try-once-discard","nodes":[[0],[0]]}
+  channel={"kind":"random-access","nodes":[[0],[1]],"p":[0.5,0.6]}
+  channel={"kind":"random-access","nodes":[[0]],"p":[0.5,0.5]}
+  channel={"kind":"markov-random-access","nodes":[[0],[1]]}
+  channel={"kind":"markov-random-access","nodes":[[0],[1]],"transition":[[0.5,0.5]]}
+  channel={"kind":"markov-random-access","nodes":[[0],[1]],"transition":[[1.0,0.0],[0.0,1.0]]}
+  channel={"kind":"markov-random-access","nodes":[[0],[1]],"transition":[[0.5,0.5],[0.5,0.6]]}
+  channel={"kind":"markov-random-access","nodes":[[0],[1]],"stay":0.5}
+  channel={"kind":"round-robin","nodes":[[0],[0]]} channel={"kind":"round-robin","nodes":[[0],[7]]}
+moving-block plant.trains.stops=[[0,99],[0]] plant.trains.stops=[[1,0],[0]] plant.trains.start=[0.0,0.01]
+  plant.trains.start=[99.0,0.0] sensors.tags.count=1 sensors.tags.count=400
+  channel={"kind":"bernoulli","p":0.5,"silent":"hold"}
+braking-rate plant.target=[[0.0,1.0],[0.0,2.0]] knowledge.grid=[1.0,0.5,0.7] knowledge.grid=[1.0,1.0]
+  knowledge.grid=[1.0,0.5] plant.rate_drift=-1.0 plant.target=[[1.0,1.0],[0.0,2.0]] time.steps=1 score.skip=150.0
+  score.skip=149.0
+rap-example-1 plant.x0=[0.0] plant.A=[[1.0]] plant.A=[[1.0,2.0],[3.0]] plant.A=[[1.0,"sin(k)"],[0.0,"1/k"]]
+  plant.A=[[1.0,"open(k)"],[0.0,1.0]] plant.A=[[1.0,"9**9**9"],[0.0,1.0]] plant.A=[["",1.0],[0.0,1.0]]
+  plant.P0=[[[1.0]],[[1.0]]] plant.Q=[[-1.0]] plant.R=[[0.0,0.0],[0.0,0.0]] plant.R=[[1.0,0.5],[0.4,1.0]]
+  plant.states=["a","a","b"] plant.A=[[1.0,None],[0.0,1.0]] channel={"kind":"bernoulli","p":0.0}
+  channel={"kind":"bernoulli","p":1.0} channel={"kind":"gilbert-elliott"}
+"""
+"""Lines of a setting and KEY=VALUE, the value as Python writes it; a line that begins by a space goes on."""
+
+
+def cases() -> list[tuple[str, str]]:
+    found, setting = list[tuple[str, str]](), ""
+    for line in CASES.strip().splitlines():
+        words = line.split()
+        setting = setting if line.startswith(" ") else words.pop(0)
+        found += [(setting, word) for word in words]
+    return found
+
+
+def _value(text: str) -> object:
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def test_what_is_refused_and_what_is_not(expected: Callable[[str, str], None]) -> None:
+    said = []
+    for setting, case in cases():
+        key, _, value = case.partition("=")
+        said.append(f"{setting} {case}")
+        try:
+            scenario, variant = find_one(setting, {key: _value(value)})
+            scenario.setting(variant)
+            said.append("  accepted")
+        except InputError as error:
+            said += [f"  {line}" for line in str(error).splitlines()[:3]]
+    expected("refusals", "\n".join(said))
