@@ -84,7 +84,10 @@ def of(module: ModuleType) -> Iterator[str]:
                 yield f"  {name}:{' frozen' * flags.frozen}{' eq' * flags.eq}{' order' * flags.order}"
             yield from defaults(name, value)
             for part, method in vars(value).items():
-                if inspect.isfunction(method) and (part == "__call__" or not part.startswith("__")):
+                method = getattr(method, "__func__", method)
+                if inspect.isclass(method) and issubclass(method, BaseModel):
+                    yield from (f"  {name}.{part}.{line.strip()}" for line in fields(method))
+                elif inspect.isfunction(method) and (part == "__call__" or not part.startswith("__")):
                     yield from defaults(f"{name}.{part}", method)
                 elif plain(method) and not part.startswith("__") and not hasattr(value, "__dataclass_fields__"):
                     yield f"  {name}.{part} = {shown(method)}"
