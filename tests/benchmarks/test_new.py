@@ -34,18 +34,18 @@ def test_packages_work_in_a_fresh_environment(railstate: Command, tmp_path: Path
                              "import: ModuleNotFoundError: No module named 'a_library_nobody_has_installed': left "
                              "out\n")
 
-    done = fresh.run("railstate", "run", "my-trolley", "--estimators", "alpha-beta,my-filter,kalman", "--runs", "20",
-                     "--jobs", "1", "--out", "out")
+    done = fresh.railstate("run", "my-trolley", "--estimators", "alpha-beta,my-filter,kalman", "--runs", "20",
+                           "--jobs", "1", "--out", "out")
     assert done.returncode == 0, done.stderr
     assert "120 rows: 120 ok" in done.stdout
     summary = pd.read_csv(tmp_path / "out" / "summary.csv").query("metric == 'rmse' and quantity == 'position'")
     error = summary.set_index(["variant", "estimator"])["mean"]
     assert error["as-told", "kalman"] < min(error["as-told", "alpha-beta"], error["as-told", "my-filter"])
 
-    checked = fresh.run("railstate", "check", "alpha-beta", "--scenario", "my-trolley")
+    checked = fresh.railstate("check", "alpha-beta", "--scenario", "my-trolley")
     assert checked.returncode == 0 and "alpha-beta: all rules kept" in checked.stdout, checked.stdout + checked.stderr
-    compared = fresh.run("railstate", "compare", "alpha-beta", "kalman", "--scenario", "my-trolley/as-told", "--runs",
-                         "30", "--jobs", "1", "--fail-on", "worse")
+    compared = fresh.railstate("compare", "alpha-beta", "kalman", "--scenario", "my-trolley/as-told", "--runs", "30",
+                               "--jobs", "1", "--fail-on", "worse")
     assert compared.returncode == 0, compared.stderr
     assert "position rmse: kalman is better than alpha-beta" in compared.stdout
     tested = fresh.run("pytest", "-q", "my-filter/tests", "my-trolley/tests")

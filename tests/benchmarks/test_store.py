@@ -139,7 +139,7 @@ def test_a_dead_process_keeps_no_lock(railstate: Command) -> None:
     assert railstate(*CART, "-e", "kalman", "--runs", 2, "--out", "out").code == 0
 
 
-@pytest.mark.parametrize("trials", [2, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.parametrize("trials", [1, pytest.param(20, marks=pytest.mark.long)])
 def test_two_processes_on_one_folder(railstate: Command, trials: int) -> None:
     railstate("run", "cart.toml", "-e", "kalman,ekf", "--runs", 12, "--jobs", 1, "--out", "right")
     for trial in range(trials):
@@ -153,12 +153,12 @@ def test_two_processes_on_one_folder(railstate: Command, trials: int) -> None:
 
 
 def test_compare_finds_no_difference_over_batches_and_jobs(railstate: Command) -> None:
-    words = ("run", "cart.toml", "-e", "kalman,ekf", "--runs", 20)
+    words = ("run", "cart.toml", "-e", "kalman,ekf", "--runs", 10)
     railstate(*words, "--jobs", 1, "--batch", 1, "--out", "first")
-    for batch, jobs in ((7, 1), (1000, 1), (7, 2)):
+    for batch, jobs in ((1000, 1), (4, 2)):
         railstate(*words, "--jobs", jobs, "--batch", batch, "--out", f"out{batch}-{jobs}")
         found = railstate("compare", "first", f"out{batch}-{jobs}", "--fail-on", "different")
-        assert found.code == 0 and "80 of 80 common rows bit-identical" in found.out
+        assert found.code == 0 and "40 of 40 common rows bit-identical" in found.out
         same(rows("first"), rows(f"out{batch}-{jobs}"))
 
 
