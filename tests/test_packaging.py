@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -29,8 +30,13 @@ def test_the_packages_named_are_those_on_the_disk() -> None:
 
 def test_the_wheel_installed_elsewhere_runs_a_scenario(tmp_path: Path) -> None:
     """Every package and every file is in it. `direct` needs the least machine code, which is compiled anew there."""
+    source = tmp_path / "source"  # what an earlier build has left in `build` would be packed again
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copyfile(ROOT / name, source / name)
     subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index", "-w",
-                    str(tmp_path), str(ROOT)], check=True, capture_output=True)
+                    str(tmp_path), str(source)], check=True, capture_output=True)
     wheel = next(tmp_path.glob("railstate-*.whl"))
     packed = set(ZipFile(wheel).namelist())
     for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()):
