@@ -46,7 +46,7 @@ class ExtendedKalman(Estimator):
         self._shared_variance = np.zeros((model.ny, 1))
         self._innovation = Innovation(self._residual, self._variance)
         f, F = model.transition, model.transition_jacobian
-        self._compiled = (f, F) if isinstance(f, Compiled) and isinstance(F, Compiled) and f.given is F.given else None
+        self._compiled = (f, F) if isinstance(f, Compiled) and isinstance(F, Compiled) and f.given == F.given else None
 
     def predict(self, u: Array, interval: Interval) -> None:
         model, x = self.model, self._mean

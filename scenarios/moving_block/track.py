@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numba import carray  # pyright: ignore[reportPrivateImportUsage]
 
 from ..arrays import Array
+from ..compiled import Compiled
 from ..machine_code import njit
 from ..measurement import Interval, PerRun
 
@@ -57,26 +60,56 @@ def curvature(s, half, radius):
 
 
 @njit(cache=True)
-def _advance(points, travel, half, radius, out):
-    """p + D [cos th, sin th], th at s(p) + D/2. points, out (4, N, S); travel (2, S)."""
+def _advance(points, u, share, half, radius, width, out):
+    """p + D [cos th, sin th], th at s(p) + D/2, D = share u. points, out (4, N, S), u (2, S), share (S,), of which the
+    first `width` runs count. On an arc the heading at p is turned by D/2, whose sine and cosine the points of a run
+    share; only who changes between arc and straight, in a step shorter than either, needs the map."""
+    travel, cosine, sine, turned = np.empty(width), np.empty(width), np.empty(width), np.empty(width, np.bool_)
     for train in range(2):
+        for s in range(width):
+            travel[s] = u[train, s] * share[s]
+            if s > 0 and travel[s] == travel[s - 1]:  # particles of one run
+                cosine[s], sine[s], turned[s] = cosine[s - 1], sine[s - 1], turned[s - 1]
+            else:
+                angle = travel[s] / (2 * radius)
+                cosine[s], sine[s] = math.cos(angle), math.sin(angle)
+                turned[s] = abs(angle) < 1.0 and abs(travel[s]) < 4 * half
         for n in range(points.shape[1]):
-            for run in range(points.shape[2]):
-                x, y = points[2 * train, n, run], points[2 * train + 1, n, run]
-                distance = travel[train, run]
-                _, _, cos, sin = place(project(x, y, half, radius) + distance / 2, half, radius)
-                out[2 * train, n, run] = x + distance * cos
-                out[2 * train + 1, n, run] = y + distance * sin
+            xs, ys = points[2 * train, n], points[2 * train + 1, n]
+            x_out, y_out = out[2 * train, n], out[2 * train + 1, n]
+            for s in range(width):
+                x, y, distance = xs[s], ys[s], travel[s]
+                side = 1.0 if y > 0.0 else -1.0
+                forward = 1.0 if x >= 0.0 else -1.0  # on the straights
+                right, up = side * x, side * y - half  # from the arc's centre, as on the upper arc
+                norm, along = math.sqrt(right * right + up * up), sine[s] * right + cosine[s] * up
+                if up > 0.0 and along > 0.0 and turned[s]:
+                    cos, sin = -side * along / norm, side * (cosine[s] * right - sine[s] * up) / norm
+                elif up <= 0.0 and abs(y + forward * distance / 2) <= half and turned[s]:
+                    cos, sin = 0.0, forward
+                else:
+                    _, _, cos, sin = place(project(x, y, half, radius) + distance / 2, half, radius)
+                x_out[s] = x + distance * cos
+                y_out[s] = y + distance * sin
+
+
+def _moved(x, u, share, data, points, width, stride, out):  # pyright: ignore
+    """`_advance` as a compiled model's, with data = half, radius, and shares of a step in place of seconds."""
+    half, radius = carray(data, (2,))
+    _advance(carray(x, (4, points, stride)), carray(u, (2, stride)), carray(share, (stride,)), half, radius, width,
+             carray(out, (4, points, stride)))
+    return 0
 
 
 @njit(cache=True)
-def _jacobian(points, travel, half, radius, out):
-    """d f / d p. points (4, S), travel (2, S), out (4, 4, S), zero on entry."""
+def _jacobian(points, u, share, half, radius, width, out):
+    """d f / d p. points (4, S), u, share as above, out (4, 4, S)."""
+    out[:, :, :width] = 0.0
     for train in range(2):
         i = 2 * train
-        for run in range(points.shape[1]):
+        for run in range(width):
             x, y = points[i, run], points[i + 1, run]
-            distance = travel[train, run]
+            distance = u[train, run] * share[run]
             s = project(x, y, half, radius)
             _, _, along_x, along_y = place(s, half, radius)
             # The nearest point moves slower than a point outside the arc and faster than one inside it.
@@ -89,6 +122,14 @@ def _jacobian(points, travel, half, radius, out):
             out[i, i + 1, run] = -turn * sin * along_y
             out[i + 1, i, run] = turn * cos * along_x
             out[i + 1, i + 1, run] = 1.0 + turn * cos * along_y
+
+
+def _moved_jacobian(x, u, share, data, points, width, stride, out):  # pyright: ignore
+    """`_jacobian` as a compiled model's."""
+    half, radius = carray(data, (2,))
+    _jacobian(carray(x, (4, stride)), carray(u, (2, stride)), carray(share, (stride,)), half, radius, width,
+              carray(out, (4, 4, stride)))
+    return 0
 
 
 @njit(cache=True)
@@ -151,19 +192,20 @@ class StadiumTrack:
         """Arc lengths (count,) of evenly spaced tags, the first half a spacing behind s = 0."""
         return (np.arange(count) + 0.5) * self.length / count
 
-    def transition(self, x: Array, u: Array, interval: Interval) -> Array:
+    def _given(self, interval: Interval, runs: int) -> tuple[Array, Array]:
+        """What both compiled functions are told: the lengths of the track, and each run's share of a step."""
+        return np.array([self.half, self.radius]), np.full(runs, interval.share)
+
+    @cached_property
+    def transition(self) -> Compiled:
         """Both trains' planar motion (Faruqi et al. 2019, eq. (30), with the heading at the midpoint of the way, since
         the printed Euler step spirals outward). x (4, .., S), u (2, S) measured distances of a whole step."""
-        points = np.ascontiguousarray(x).reshape(4, -1, x.shape[-1])
-        out = np.empty_like(points)
-        _advance(points, travelled(u, interval.share), self.half, self.radius, out)
-        return out.reshape(x.shape)
+        return Compiled(_moved, 2, self._given)
 
-    def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
+    @cached_property
+    def jacobian(self) -> Compiled:
         """Jacobian (4, 4, S) of `transition` at x (4, S)."""
-        out = np.zeros((4, 4, x.shape[1]))
-        _jacobian(np.ascontiguousarray(x), travelled(u, interval.share), self.half, self.radius, out)
-        return out
+        return Compiled(_moved_jacobian, 2, self._given, square=True)
 
     def input_jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
         """d f / d u (4, 2, S) of `transition` at x (4, S)."""

@@ -83,6 +83,23 @@ def test_jacobian_matches_differences() -> None:
         np.testing.assert_allclose(jacobian[:, j], numeric, atol=1e-8)
 
 
+@pytest.mark.parametrize("longest", [0.06, 0.5, 3.0, 30.0])
+def test_motion_has_the_heading_of_the_midpoint(longest: float) -> None:
+    """Every point and way, joints and ways of several laps among them, against the map there and back."""
+    draw = np.random.default_rng(3)
+    evenly = np.tile(np.arange(200) * TRACK.length / 200, (2, 1))
+    s = np.concatenate([draw.uniform(0, TRACK.length, (2, 400)), evenly], axis=1)
+    x, y, _ = TRACK.points(s)
+    state = np.stack([x[0], y[0], x[1], y[1]]) + np.where(np.arange(600) < 400, draw.normal(0, 0.05, (4, 600)), 0.0)
+    u, share = draw.uniform(-longest / 4, longest, (2, 600)), draw.choice([0.0, 0.3, 1.0], 600)
+    moved = TRACK.transition(state, u, part(0, share))
+    for train in range(2):
+        x, y, distance = state[2 * train], state[2 * train + 1], u[train] * share
+        _, _, heading = TRACK.points(TRACK.arc_lengths(x, y) + distance / 2)
+        naive = np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading)])
+        np.testing.assert_allclose(moved[2 * train:2 * train + 2], naive, rtol=0, atol=1e-13 * max(1.0, longest))
+
+
 def test_no_travel_is_the_identity_to_the_last_bit() -> None:
     state, u = some_states(7)
     share = np.array([0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 1.0])
