@@ -275,21 +275,24 @@ class _Keeper:
 
     def __init__(self, setting: Setting[Any], task: Task, label: str, runs: tuple[int, ...]) -> None:
         self.setting, self.task, self.label, self.runs = setting, task, label, runs
-        self.positions = [p for p, run in enumerate(runs) if run < task.keep]
+        self.positions = [p for p, run in enumerate(runs) if run < task.keep]  # the first ones: runs ascend
         self.wanted = bool(self.positions)
         self.seen: dict[str, list[np.ndarray]] = {}
 
     def __call__(self, k: int, estimate: Estimate, step: Step) -> None:
-        take = self.positions
-        mean = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
-        row = {"step": np.array(k), "truth": step.truth[:, take],
-               "mean": np.where(step.active[take], mean[:, take], np.nan)}
+        n, active = len(self.positions), step.active
+        mean = estimate.mean[:, :n].copy()
+        if estimate.parameter is not None:
+            mean = np.concatenate([mean, estimate.parameter[:, :n]])
+        if not all(active[:n].tolist()):
+            mean[:, ~active[:n]] = np.nan
+        row = {"step": np.array(k), "truth": step.truth[:, :n].copy(), "mean": mean}
         for name, matrix in (("covariance", estimate.covariance), ("ellipsoid", estimate.ellipsoid)):
             if matrix is not None:
-                diagonal = np.einsum("iis->is", matrix)
-                row[name] = diagonal[:, take] if matrix.shape[2] > 1 else np.repeat(diagonal, len(take), axis=1)
+                diagonal = matrix.diagonal().T[:, :n]
+                row[name] = diagonal.copy() if matrix.shape[2] > 1 else np.repeat(diagonal, n, axis=1)
         if estimate.diversity is not None:
-            row["diversity"] = estimate.diversity[take].astype(float)
+            row["diversity"] = estimate.diversity[:n].astype(float)
         for name, values in row.items():
             self.seen.setdefault(name, []).append(values)
 

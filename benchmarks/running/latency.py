@@ -21,7 +21,7 @@ from .drive import prepare
 from .loop import Loop, Observer
 from .machinery import Machinery
 
-WARM_UP, STEPS, SAMPLES, SECONDS = 5, 334, 500, 0.1
+WARM_UP, STEPS, SAMPLES, SECONDS = 5, 250, 500, 0.1
 FEW = 8
 """So many are measured in this process: others would have to start, or load their machine code, first."""
 AGREED = 1.1
