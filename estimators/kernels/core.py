@@ -92,59 +92,75 @@ def apply(matrix, x, out):
 
 
 @kernel
+def _nonzero(row, columns):
+    """columns[:count] := where a row (n, 1) of a matrix that all runs share is not zero; count."""
+    count = 0
+    for k in range(row.shape[0]):
+        columns[count] = k
+        count += row[k, 0] != 0.0
+    return count
+
+
+@kernel
 def _half(f, p, t, width):
     """t (m, n, width) := f (m, n, width or 1) times p (n, n, width)."""
     n = p.shape[0]
+    columns = np.empty(n, np.int64)
     for i in range(f.shape[0]):
         for j in range(n):
             for s in range(width):
                 t[i, j, s] = 0.0
-        k = 0
         if f.shape[2] == 1:
-            while k + 4 <= n:  # four terms at a time: fewer loads and stores of t, the same order of additions
-                f0, f1, f2, f3 = f[i, k, 0], f[i, k + 1, 0], f[i, k + 2, 0], f[i, k + 3, 0]
+            count, k = _nonzero(f[i], columns), 0
+            while k + 4 <= count:  # four terms at a time: fewer loads and stores of t, the same order of additions
+                a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+                f0, f1, f2, f3 = f[i, a, 0], f[i, b, 0], f[i, c, 0], f[i, d, 0]
                 for j in range(n):
                     for s in range(width):
-                        t[i, j, s] = (((t[i, j, s] + f0 * p[k, j, s]) + f1 * p[k + 1, j, s])
-                                      + f2 * p[k + 2, j, s]) + f3 * p[k + 3, j, s]
+                        t[i, j, s] = (((t[i, j, s] + f0 * p[a, j, s]) + f1 * p[b, j, s])
+                                      + f2 * p[c, j, s]) + f3 * p[d, j, s]
                 k += 4
-        while k < n:
-            for j in range(n):
-                if f.shape[2] == 1:
-                    f0 = f[i, k, 0]
+            while k < count:
+                a, f0 = columns[k], f[i, columns[k], 0]
+                for j in range(n):
                     for s in range(width):
-                        t[i, j, s] += f0 * p[k, j, s]
-                else:
+                        t[i, j, s] += f0 * p[a, j, s]
+                k += 1
+        else:
+            for k in range(n):
+                for j in range(n):
                     for s in range(width):
                         t[i, j, s] += f[i, k, s] * p[k, j, s]
-            k += 1
 
 
 @kernel
 def _symmetric_half(t, f, q, out, width):
     """out (m, m, width) := t f' + q, of which the lower triangle is computed and mirrored; q (m, m, width or 1)."""
     n = t.shape[1]
-    for i in range(f.shape[0]):
-        for j in range(i + 1):
+    columns = np.empty(n, np.int64)
+    for j in range(f.shape[0]):
+        count = _nonzero(f[j], columns) if f.shape[2] == 1 else 0
+        for i in range(j, f.shape[0]):
             for s in range(width):
                 out[i, j, s] = q[i, j, 0] if q.shape[2] == 1 else q[i, j, s]
-            k = 0
             if f.shape[2] == 1:
-                while k + 4 <= n:
-                    f0, f1, f2, f3 = f[j, k, 0], f[j, k + 1, 0], f[j, k + 2, 0], f[j, k + 3, 0]
+                k = 0
+                while k + 4 <= count:
+                    a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+                    f0, f1, f2, f3 = f[j, a, 0], f[j, b, 0], f[j, c, 0], f[j, d, 0]
                     for s in range(width):
-                        out[i, j, s] = (((out[i, j, s] + f0 * t[i, k, s]) + f1 * t[i, k + 1, s])
-                                        + f2 * t[i, k + 2, s]) + f3 * t[i, k + 3, s]
+                        out[i, j, s] = (((out[i, j, s] + f0 * t[i, a, s]) + f1 * t[i, b, s])
+                                        + f2 * t[i, c, s]) + f3 * t[i, d, s]
                     k += 4
-            while k < n:
-                if f.shape[2] == 1:
-                    f0 = f[j, k, 0]
+                while k < count:
+                    a, f0 = columns[k], f[j, columns[k], 0]
                     for s in range(width):
-                        out[i, j, s] += f0 * t[i, k, s]
-                else:
+                        out[i, j, s] += f0 * t[i, a, s]
+                    k += 1
+            else:
+                for k in range(n):
                     for s in range(width):
                         out[i, j, s] += f[j, k, s] * t[i, k, s]
-                k += 1
             for s in range(width):
                 out[j, i, s] = out[i, j, s]
 

@@ -20,7 +20,7 @@ def mix(transition, weight, moving, mean, covariance):
     n = mean.shape[0]
     shared = transition.shape[2] == 1
     offset, spread = np.empty((m, n, runs)), np.empty((m, n, n, runs))
-    share, shift, total = np.empty((m, runs)), np.empty((n, runs)), np.empty((m, runs))
+    share, shift, total, value = np.empty((m, runs)), np.empty((n, runs)), np.empty((m, runs)), np.empty(runs)
     for j in range(m):
         for a in range(n):
             for s in range(runs):
@@ -53,13 +53,17 @@ def mix(transition, weight, moving, mean, covariance):
         for a in range(n):
             for b in range(a + 1):
                 for s in range(runs):
-                    value = 0.0
-                    for i in range(m):
-                        value += share[i, s] * spread[i, a, b, s]
-                    value -= shift[a, s] * shift[b, s]
-                    if moving[s]:
-                        covariance[a, b, j * runs + s] = value
-                        covariance[b, a, j * runs + s] = value
+                    value[s] = 0.0
+                for i in range(m):
+                    part, of = share[i], spread[i, a, b]
+                    for s in range(runs):
+                        value[s] += part[s] * of[s]
+                lower, upper = covariance[a, b, j * runs:(j + 1) * runs], covariance[b, a, j * runs:(j + 1) * runs]
+                for s in range(runs):
+                    mixed = value[s] - shift[a, s] * shift[b, s]
+                    lower[s] = mixed if moving[s] else lower[s]
+                for s in range(runs):
+                    upper[s] = lower[s]
     for j in range(m):
         for s in range(runs):
             if moving[s]:
@@ -130,21 +134,28 @@ def moments(weight, mean, covariance, mean_out, covariance_out):
     """Mean (n, S) and covariance (n, n, S) of the mixture. A mode of no weight counts nothing, whatever its numbers."""
     m, runs = weight.shape
     n = mean.shape[0]
-    for s in range(runs):
-        for a in range(n):
-            value = 0.0
-            for j in range(m):
-                if weight[j, s] != 0.0:
-                    value += weight[j, s] * (mean[a, j * runs + s] - mean[a, s])
-            mean_out[a, s] = mean[a, s] + value
+    off, value = np.empty((m, n, runs)), np.empty(runs)
+    for a in range(n):
+        first = mean[a, :runs]
+        for s in range(runs):
+            value[s] = 0.0
+        for j in range(m):
+            part, own = weight[j], mean[a, j * runs:(j + 1) * runs]
+            for s in range(runs):
+                value[s] += part[s] * (own[s] - first[s]) if part[s] != 0.0 else 0.0
+        for s in range(runs):
+            mean_out[a, s] = first[s] + value[s]
+        for j in range(m):
+            own = mean[a, j * runs:(j + 1) * runs]
+            for s in range(runs):
+                off[j, a, s] = own[s] - mean_out[a, s]
     for a in range(n):
         for b in range(a + 1):
             for s in range(runs):
-                value = 0.0
-                for j in range(m):
-                    if weight[j, s] != 0.0:
-                        c = j * runs + s
-                        value += weight[j, s] * (covariance[a, b, c] + (mean[a, c] - mean_out[a, s])
-                                                 * (mean[b, c] - mean_out[b, s]))
-                covariance_out[a, b, s] = value
-                covariance_out[b, a, s] = value
+                value[s] = 0.0
+            for j in range(m):
+                part, own, left, right = weight[j], covariance[a, b, j * runs:(j + 1) * runs], off[j, a], off[j, b]
+                for s in range(runs):
+                    value[s] += part[s] * (own[s] + left[s] * right[s]) if part[s] != 0.0 else 0.0
+            for s in range(runs):
+                covariance_out[a, b, s] = covariance_out[b, a, s] = value[s]

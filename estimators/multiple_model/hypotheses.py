@@ -114,9 +114,7 @@ class InteractingModels(Estimator):
             look(x, x, P, np.ascontiguousarray(h[j]), np.ascontiguousarray(measurement.y[j]),
                  np.ascontiguousarray(predicted[j]), got, residual, spread, product)
             reading = Reading(j, residual, spread, np.broadcast_to(R[j, j], runs), got, measurement.time)
-            outside = reading.ratio > self._limit
-            rejected[j] = got & outside & ~memory.opened(reading)
-            memory.note(reading, outside)
+            rejected[j] = got & memory.rejected(reading, reading.ratio > self._limit)
         return measurement._replace(received=read_only(measurement.received & ~rejected))
 
     def update(self, measurement: Measurement) -> Innovation | None:

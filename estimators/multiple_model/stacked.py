@@ -28,12 +28,10 @@ def interval_of(interval: Interval, m: int) -> Interval:
 
 
 def measurement_of(measurement: Measurement, m: int) -> Measurement:
-    """The measurement for m modes."""
-    covariance = measurement.covariance
-    return measurement._replace(y=read_only(np.concatenate([measurement.y] * m, axis=1)),
-                                received=read_only(np.concatenate([measurement.received] * m, axis=1)),
-                                time=repeated(measurement.time, m),
-                                covariance=None if covariance is None else read_only(repeated(covariance, m)))
+    """The measurement for m modes, without what sensors tell of it: R is made of that, mode by mode (`noise_of`)."""
+    y, received, step, event, time, _ = measurement
+    return Measurement(read_only(np.concatenate([y] * m, axis=1)), read_only(np.concatenate([received] * m, axis=1)),
+                       step, event, repeated(time, m))
 
 
 def stacked(modes: Sequence[Mode], runs: int) -> DesignModel:

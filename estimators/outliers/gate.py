@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from ...scenarios.arrays import Mask
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from .base import ElementwiseKalman, Reading, Weighed, ratio_limit
@@ -36,6 +35,8 @@ class _Reopened(ElementwiseKalman):
     def taken(self, reading: Reading, weighed: Weighed) -> None:
         """Where the rejected readings agree: the state's element that the reading speaks of goes there by their mean
         residual, its variance grows by R over their number, its covariances are cleared."""
+        if self._memory.parameters.reopen != "median":
+            return
         agreed, mean, count = self._memory.found(reading)
         if not agreed.any():
             return
@@ -48,12 +49,6 @@ class _Reopened(ElementwiseKalman):
             self._mean[a, s] += mean[s] / row[a, s]
             self._covariance[a, :, s] = self._covariance[:, a, s] = 0.0
             self._covariance[a, a, s] = variance
-
-    def _judged(self, reading: Reading, outside: Mask) -> Mask:
-        """Which readings are rejected: those outside, but where the gate stands open; all are kept in mind."""
-        opened = self._memory.opened(reading)
-        self._memory.note(reading, outside)
-        return outside & ~opened
 
 
 class GatedKalman(_Reopened):
@@ -70,8 +65,7 @@ class GatedKalman(_Reopened):
         self._limit = ratio_limit(self.parameters.level)
 
     def judge(self, reading: Reading) -> Weighed:
-        outside = reading.ratio > self._limit
-        rejected = self._judged(reading, outside)
+        rejected = self._memory.rejected(reading, reading.ratio > self._limit)
         return Weighed(reading.noise, np.where(rejected, 0.0, 1.0), rejected)
 
 
@@ -89,5 +83,5 @@ class SoftGateKalman(_Reopened):
     def judge(self, reading: Reading) -> Weighed:
         p, beta = self.parameters, np.empty_like(reading.residual)
         association(reading.residual, reading.variance, reading.variance + p.size**2 * reading.noise, p.share, beta)
-        rejected = self._judged(reading, beta < 0.5)
+        rejected = self._memory.rejected(reading, beta < 0.5)
         return Weighed(reading.noise, np.where((beta < 0.5) & ~rejected, 1.0, beta), rejected)

@@ -16,6 +16,7 @@ from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Innovation, Parameters
 from ..kernels.core import congruence
 from .base import ElementwiseKalman, Reading, Weighed
+from .kernels import student
 
 
 class StudentKalman(ElementwiseKalman):
@@ -31,12 +32,9 @@ class StudentKalman(ElementwiseKalman):
     source = "Agamennoni, Nieto and Nebot, IEEE TSP 60(10), 2012; Piche, Sarkka and Hartikainen, MLSP 2012"
 
     def weigh(self, reading: Reading) -> Weighed:
-        dof, precision = self.parameters.dof, np.ones_like(reading.residual)
-        for _ in range(self.parameters.iterations):
-            noise = reading.noise / precision
-            share = noise / (reading.spread + noise)
-            left = (reading.residual * share) ** 2 + reading.spread * share
-            precision = (dof + 1) / (dof + left / reading.noise)
+        precision = np.empty_like(reading.residual)
+        student(reading.residual, reading.spread, reading.noise, self.parameters.dof, self.parameters.iterations,
+                precision)
         return Weighed(reading.noise / precision, np.ones_like(precision), precision < 0.5)
 
 

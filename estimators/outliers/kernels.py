@@ -44,6 +44,7 @@ def correct(mean, covariance, h, product, residual, variance, noise, weight, rec
     shared = h.shape[1] == 1
     bad = 0
     use, gain, left, after = np.zeros(runs, np.bool_), np.empty((n, runs)), np.empty((n, runs)), np.empty((n, n, runs))
+    joseph, square = np.empty(runs), np.empty(runs)
     for s in range(runs):
         use[s] = received[s] and weight[s] > 0.0
         if use[s] and not variance[s] > 0.0:
@@ -51,23 +52,32 @@ def correct(mean, covariance, h, product, residual, variance, noise, weight, rec
             bad += 1
             use[s] = False
     for a in range(n):
+        own, lean = gain[a], left[a]
         for s in range(runs):
-            gain[a, s] = product[a, s] / variance[s] if use[s] else 0.0
-            left[a, s] = 0.0
+            own[s] = product[a, s] / variance[s] if use[s] else 0.0
+            lean[s] = 0.0
         for b in range(n):
+            moved, old, row = after[a, b], covariance[a, b], product[b]
             for s in range(runs):
-                after[a, b, s] = covariance[a, b, s] - gain[a, s] * product[b, s]
-                left[a, s] += after[a, b, s] * (h[b, 0] if shared else h[b, s])
+                moved[s] = old[s] - own[s] * row[s]
+            if shared:
+                for s in range(runs):
+                    lean[s] += moved[s] * h[b, 0]
+            else:
+                for s in range(runs):
+                    lean[s] += moved[s] * h[b, s]
     for a in range(n):
         for s in range(runs):
             mean[a, s] += weight[s] * gain[a, s] * residual[s] if use[s] else 0.0
         for b in range(a + 1):
+            old, moved, lean, other, own = covariance[a, b], after[a, b], left[a], gain[b], gain[a]
             for s in range(runs):
-                if use[s]:
-                    w, square = weight[s], gain[a, s] * gain[b, s]
-                    joseph = after[a, b, s] - left[a, s] * gain[b, s] + noise[s] * square
-                    mixed = w * joseph + (1.0 - w) * covariance[a, b, s]
-                    covariance[a, b, s] = mixed + w * (1.0 - w) * residual[s] * residual[s] * square
+                square[s] = own[s] * other[s]
+                joseph[s] = moved[s] - lean[s] * other[s] + noise[s] * square[s]
+            for s in range(runs):
+                w = weight[s]
+                mixed = w * joseph[s] + (1.0 - w) * old[s] + w * (1.0 - w) * residual[s] * residual[s] * square[s]
+                old[s] = mixed if use[s] else old[s]
             if b < a:
                 for s in range(runs):
                     covariance[b, a, s] = covariance[a, b, s]
@@ -75,10 +85,40 @@ def correct(mean, covariance, h, product, residual, variance, noise, weight, rec
 
 
 @kernel
+def close(outside, received, time, since, element, together, after):
+    """Of a gate that opens after a time of rejections: which readings (S,) outside are rejected, all but where those
+    of `together` (elements) have been outside for `after` s. since (ny, S) is the time of the first of an element's
+    unbroken row of readings outside, and is brought up to time (S or 1,)."""
+    rejected, own = np.empty(outside.shape[0], np.bool_), since[element]
+    for s in range(outside.shape[0]):
+        now, longest = time[0 if time.shape[0] == 1 else s], -np.inf
+        for k in range(together.shape[0]):
+            longest = max(longest, since[together[k], s])
+        rejected[s] = outside[s] and not now - longest >= after
+        if received[s]:
+            own[s] = min(own[s], now) if outside[s] else np.inf
+    return rejected
+
+
+@kernel
 def correntropy(ratio, bandwidth, out):
     """out (S,) := exp(-ratio / (2 bandwidth^2)), ratio (S,) a squared normalised residual."""
     for s in range(out.shape[0]):
         out[s] = math.exp(-0.5 * ratio[s] / (bandwidth * bandwidth))
+
+
+@kernel
+def student(residual, spread, noise, dof, iterations, out):
+    """out (S,) := the precision of Student noise by a fixed point of so many iterations from 1 on; residual, spread =
+    h P h', noise = R, each (S,)."""
+    for s in range(out.shape[0]):
+        out[s] = 1.0
+        for _ in range(iterations):
+            scaled = noise[s] / out[s]
+            share = scaled / (spread[s] + scaled)
+            square = residual[s] * share
+            left = square * square + spread[s] * share
+            out[s] = (dof + 1) / (dof + left / noise[s])
 
 
 @kernel

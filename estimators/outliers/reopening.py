@@ -15,6 +15,7 @@ from ...scenarios.errors import InputError
 from ...scenarios.model import DesignModel
 from ..interface import Parameters, used_with
 from .base import Reading
+from .kernels import close
 
 
 class Reopening(Parameters):
@@ -61,34 +62,25 @@ class Memory:
         self.ring = np.full((parameters.memory if parameters.reopen == "median" else 0, model.ny, runs), np.nan)
         self.since = np.full((model.ny, runs), np.inf)
         self.judged = _elements(asked, parameters.sensors, model) or list(range(model.ny))
-        self.together = _elements("together", parameters.together, model)
+        together = _elements("together", parameters.together, model)
+        self._with = [np.array(together if j in together else [j]) for j in range(model.ny)]
 
-    def opened(self, reading: Reading) -> Mask:
-        """`time`: runs (S,) whose gate of this element stands open."""
-        if self.parameters.reopen != "time":
-            return np.zeros(len(reading.residual), dtype=bool)
-        elements = self.together if reading.element in self.together else [reading.element]
-        longest = self.since[elements[0]]
-        for element in elements[1:]:
-            longest = np.maximum(longest, self.since[element])
-        return np.asarray(reading.time) - longest >= self.parameters.after - 1e-9
-
-    def note(self, reading: Reading, outside: Mask) -> None:
-        """Keep in mind that the received readings fell outside the gate, or inside."""
+    def rejected(self, reading: Reading, outside: Mask) -> Mask:
+        """Which of the readings (S,) outside the gate are rejected, all but where it stands open (`time`); that
+        the received ones fell outside or inside is kept in mind."""
         j, got = reading.element, reading.received
         if self.parameters.reopen == "time":
-            begun = np.minimum(self.since[j], reading.time)
-            self.since[j] = np.where(got, np.where(outside, begun, np.inf), self.since[j])
-        elif self.parameters.reopen == "median":
+            return close(outside, got, np.atleast_1d(np.asarray(reading.time, dtype=float)), self.since, j,
+                         self._with[j], self.parameters.after - 1e-9)
+        if self.parameters.reopen == "median":
             ring = self.ring[:, j]
             ring[:, got] = np.concatenate([ring[1:, got], np.where(outside, reading.residual, np.nan)[None, got]])
+        return outside
 
     def found(self, reading: Reading) -> tuple[Mask, Array, Array]:
         """`median`: runs (S,) in which enough of the rejected residuals agree, their mean and their number."""
         runs = len(reading.residual)
         agreed, mean, count = np.zeros(runs, dtype=bool), np.zeros(runs), np.zeros(runs)
-        if self.parameters.reopen != "median":
-            return agreed, mean, count
         ring = self.ring[:, reading.element]
         for s in np.flatnonzero(np.isfinite(ring).sum(axis=0) >= self.parameters.needed):
             rejected = ring[:, s][np.isfinite(ring[:, s])]

@@ -12,10 +12,12 @@ import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
 from ..arrays import Array
+from ..machine_code import njit
 from ..measurement import Interval, Measurement
 from ..model import Inclusion
 from ..railway.dynamics import Slope, climbs
 from ..railway.odometer import INPUTS
+from ..railway.odometer.model import DISTANCE_A, DISTANCE_B, READING, SPEED_A, SPEED_B
 from ..schema import Strict
 from ..strict import key
 
@@ -56,37 +58,13 @@ class Intervals:
 
     def predict(self, low: Array, high: Array, u: Array, interval: Interval) -> tuple[Array, Array]:
         """The intervals at the end of the interval, wheels used; low, high (3, S)."""
-        limits, h = self.limits, np.asarray(interval.length, dtype=float)
-        reading, standing, a, b, va, vb = u[0], u[STANDING] > 0, u[3], u[4], u[5], u[6]
-        steep = np.stack([_climb(low[0], self.slope), _climb(high[0], self.slope)])
-        count = np.maximum(u[STILL_COUNT], 1.0)
-        still = u[STILL_MEAN] - 0.5 * (steep[0] + steep[1])
-        loose = 3 * limits.noise / np.sqrt(count) + limits.gradient
-        known = u[STILL_COUNT] > 0
-        bias_low = np.where(known, np.maximum(still - loose, -limits.bias), low[2])
-        bias_high = np.where(known, np.minimum(still + loose, limits.bias), high[2])
-        fast = np.maximum(high[1] + h * (reading - steep.min(axis=0) - bias_low + limits.gradient), 0.0)
-        slow = np.maximum(low[1] + h * (reading - steep.max(axis=0) - bias_high - limits.gradient), 0.0)
-        free = u[FREE] >= limits.free
-        # speed by the wheels of the step: a pulse more or less
-        step = self.period
-        surely = np.where(free, b, np.maximum(a, b)) / step
-        slowest = (surely - self.pulse / step) * (1 - limits.wheel)
-        fastest = np.where(free, (b + self.pulse) / step * (1 + limits.wheel), np.inf)
-        slow, fast = _both(slow, fast, slowest, fastest)
-        slow, fast = np.where(standing, 0.0, slow), np.where(standing, 0.0, fast)
-        # distance: by the trailer's count while it rolls freely, else between the faster wheel and the accelerometer
-        share = np.asarray(interval.share, dtype=float)
-        begins = free & (u[FREE] < limits.free + step)
-        least = np.where(free, b, np.where(va >= vb, a, b)) * (1 - limits.wheel)
-        most = np.where(free, b * (1 + limits.wheel), 0.5 * step * (high[1] + fast))
-        slack = np.where(begins, self.pulse, 0.0)
-        moved = h > 0
+        limits, runs = self.limits, low.shape[1]
         out_low, out_high = low.copy(), high.copy()
-        out_low[0] = np.where(moved, low[0] + share * (least - slack), low[0])
-        out_high[0] = np.where(moved, high[0] + share * (np.maximum(most, least) + slack), high[0])
-        out_low[1], out_high[1] = np.where(moved, slow, low[1]), np.where(moved, fast, high[1])
-        out_low[2], out_high[2] = np.where(moved, bias_low, low[2]), np.where(moved, bias_high, high[2])
+        steep = np.stack([_climb(low[0], self.slope), _climb(high[0], self.slope)])
+        length, share = (np.array(np.broadcast_to(np.asarray(part, dtype=float), (runs,)))
+                         for part in (interval.length, interval.share))
+        _move(low, high, np.ascontiguousarray(u), steep, length, share, self.period, self.pulse, limits.bias,
+              limits.noise, limits.gradient, limits.wheel, limits.free, out_low, out_high)
         return out_low, out_high
 
     def observe(self, low: Array, high: Array, measurement: Measurement) -> tuple[Array, Array]:
@@ -99,6 +77,42 @@ class Intervals:
         least, most = _both(low[0], high[0], y - margin, y + margin)
         low[0], high[0] = np.where(got, least, low[0]), np.where(got, most, high[0])
         return low, high
+
+
+@njit(cache=True)
+def _move(low, high, u, steep, length, share, step, pulse, bias, noise, gradient, wheel, free, out_low, out_high):
+    """`Intervals.predict` run by run: low, high, out (3, S), u (nu, S), steep (2, S) the map's pull at low and high,
+    length, share (S,); the rest as in `Limits` and `Intervals`. Runs of no length are left as they are."""
+    for s in range(low.shape[1]):
+        if not length[s] > 0.0:
+            continue
+        least_bias, most_bias = low[2, s], high[2, s]
+        if u[STILL_COUNT, s] > 0.0:
+            still = u[STILL_MEAN, s] - 0.5 * (steep[0, s] + steep[1, s])
+            loose = 3 * noise / np.sqrt(max(u[STILL_COUNT, s], 1.0)) + gradient
+            least_bias, most_bias = max(still - loose, -bias), min(still + loose, bias)
+        flat, climb = min(steep[0, s], steep[1, s]), max(steep[0, s], steep[1, s])
+        fast = max(high[1, s] + length[s] * (u[READING, s] - flat - least_bias + gradient), 0.0)
+        slow = max(low[1, s] + length[s] * (u[READING, s] - climb - most_bias - gradient), 0.0)
+        a, b, rolls = u[DISTANCE_A, s], u[DISTANCE_B, s], u[FREE, s] >= free
+        # speed by the wheels of the step: a pulse more or less
+        slowest = ((b if rolls else max(a, b)) / step - pulse / step) * (1 - wheel)
+        fastest = (b + pulse) / step * (1 + wheel) if rolls else np.inf
+        slow = max(slow, slowest)
+        if slow > min(fast, fastest):  # what is new alone stands
+            slow, fast = slowest, fastest if rolls else max(fast, slowest)
+        else:
+            fast = min(fast, fastest)
+        if u[STANDING, s] > 0.0:
+            slow, fast = 0.0, 0.0
+        # distance: by the trailer's count while it rolls freely, else between the faster wheel and the accelerometer
+        least = (b if rolls or u[SPEED_A, s] < u[SPEED_B, s] else a) * (1 - wheel)
+        most = b * (1 + wheel) if rolls else 0.5 * step * (high[1, s] + fast)
+        slack = pulse if rolls and u[FREE, s] < free + step else 0.0
+        out_low[0, s] = low[0, s] + share[s] * (least - slack)
+        out_high[0, s] = high[0, s] + share[s] * (max(most, least) + slack)
+        out_low[1, s], out_high[1, s] = slow, fast
+        out_low[2, s], out_high[2, s] = least_bias, most_bias
 
 
 def _both(low: Array, high: Array, least: Array, most: Array) -> tuple[Array, Array]:

@@ -52,7 +52,12 @@ class OdometryWorld:
     closed_loop: bool = False
     extra: dict[str, Array] = field(default_factory=dict)
 
+    says: Array = field(init=False)
+    """What the sensors tell of their readings at the end of a step (ny, ny, S), the same array every time."""
+
     def __post_init__(self) -> None:
+        ny, runs = self.y.shape[1:]
+        object.__setattr__(self, "says", np.zeros((ny, ny, runs)))
         for name in ("u", "y", "received"):  # what estimators are handed, step by step
             object.__setattr__(self, name, read_only(getattr(self, name)))
         # the readings in time order: (step, event) -> runs, shares of the step, balises
@@ -113,19 +118,14 @@ class OdometryWorld:
         for who, share, balise in self.readings.get(k, ()):
             at = np.array(np.broadcast_to(gone, (runs,)))
             at[who] = share
-            y, received, covariance = np.zeros((ny, runs)), np.zeros((ny, runs), dtype=bool), self._told(k)
+            y, received, covariance = np.zeros((ny, runs)), np.zeros((ny, runs), dtype=bool), np.zeros((ny, ny, runs))
+            covariance.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
             y[self.balise, who] = self.passages.told[balise, who]
             received[self.balise, who] = True
             covariance[self.balise, self.balise, who] = self.balise_variance[balise]
             events.append(Event(at - gone, y, received, covariance))
             gone = at
-        events.append(Event(1.0 - gone, self.y[k], self.received[k], self._told(k)))
+        self.says.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
+        events.append(Event(1.0 - gone, self.y[k], self.received[k], self.says))
         return Step(self.u[k], tuple(events), self.truth[k], self.active[k], self.scored[k], self.window[k], k + 1,
                     k * self.period, self.period, reference=self.reference[k])
-
-    def _told(self, k: int) -> Array:
-        """What the sensors tell of their readings (ny, ny, S)."""
-        ny, runs = self.y.shape[1:]
-        out = np.zeros((ny, ny, runs))
-        out.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
-        return out
