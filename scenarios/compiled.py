@@ -99,36 +99,39 @@ def affine(x, u, seconds, data, points, width, stride, out):  # pyright: ignore
     constants = carray(data, (2 + n * n + n * m + n,))
     here, there, driven = carray(x, (n, points, stride)), carray(out, (n, points, stride)), carray(u, (m, stride))
     A, B = constants[2:2 + n * n].reshape((n, n)), constants[2 + n * n:2 + n * n + n * m].reshape((n, m))
-    h, drive, columns = constants[2 + n * n + n * m:], np.empty(width), np.empty(n, np.int64)
+    h, drive = constants[2 + n * n + n * m:], np.empty((n, width))
+    columns, counts = np.empty((n, n), np.int64), np.zeros(n, np.int64)
     for i in range(n):
+        row = drive[i]
         for s in range(width):
-            drive[s] = 0.0
+            row[s] = 0.0
         for j in range(m):
             factor = B[i, j]
             if factor != 0.0:
-                row = driven[j]
+                given = driven[j]
                 for s in range(width):
-                    drive[s] += factor * row[s]
-        count = 0
+                    row[s] += factor * given[s]
         for j in range(n):
-            columns[count] = j
-            count += A[i, j] != 0.0
-        for p in range(points):
-            moved, k = there[i, p], 0
+            columns[i, counts[i]] = j
+            counts[i] += A[i, j] != 0.0
+    for p in range(points):  # of a point at a time all states are in the first cache
+        for i in range(n):
+            moved, count, k = there[i, p], counts[i], 0
             for s in range(width):
                 moved[s] = 0.0
             while k + 4 <= count:  # four terms at a time: fewer loads and stores, the same order of additions
-                a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+                a, b, c, d = columns[i, k], columns[i, k + 1], columns[i, k + 2], columns[i, k + 3]
                 f0, f1, f2, f3 = A[i, a], A[i, b], A[i, c], A[i, d]
                 x0, x1, x2, x3 = here[a, p], here[b, p], here[c, p], here[d, p]
                 for s in range(width):
                     moved[s] = (((moved[s] + f0 * x0[s]) + f1 * x1[s]) + f2 * x2[s]) + f3 * x3[s]
                 k += 4
             while k < count:
-                f0, x0 = A[i, columns[k]], here[columns[k], p]
+                f0, x0 = A[i, columns[i, k]], here[columns[i, k], p]
                 for s in range(width):
                     moved[s] += f0 * x0[s]
                 k += 1
+            row = drive[i]
             for s in range(width):
-                moved[s] = (moved[s] + h[i]) + drive[s]
+                moved[s] = (moved[s] + h[i]) + row[s]
     return 0

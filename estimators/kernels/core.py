@@ -92,41 +92,49 @@ def apply(matrix, x, out):
 
 
 @kernel
-def _nonzero(row, columns):
-    """columns[:count] := where a row (n, 1) of a matrix that all runs share is not zero; count."""
+def _nonzero(one, two, columns):
+    """columns[:count] := where either of two rows (n, 1) of a matrix that all runs share is not zero; count."""
     count = 0
-    for k in range(row.shape[0]):
+    for k in range(one.shape[0]):
         columns[count] = k
-        count += row[k, 0] != 0.0
+        count += one[k, 0] != 0.0 or two[k, 0] != 0.0
     return count
 
 
 @kernel
 def _half(f, p, t, width):
     """t (m, n, width) := f (m, n, width or 1) times p (n, n, width)."""
-    n = p.shape[0]
-    columns = np.empty(n, np.int64)
-    for i in range(f.shape[0]):
-        for j in range(n):
-            for s in range(width):
-                t[i, j, s] = 0.0
+    m, n = f.shape[0], p.shape[0]
+    columns, spare = np.empty(n, np.int64), np.empty(width)
+    for i in range(0, m, 2 if f.shape[2] == 1 else 1):  # a pair of shared rows shares the loads of p
         if f.shape[2] == 1:
-            count, k = _nonzero(f[i], columns), 0
-            while k + 4 <= count:  # four terms at a time: fewer loads and stores of t, the same order of additions
-                a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
-                f0, f1, f2, f3 = f[i, a, 0], f[i, b, 0], f[i, c, 0], f[i, d, 0]
-                for j in range(n):
+            one, two = f[i], f[min(i + 1, m - 1)]
+            count = _nonzero(one, two, columns)
+            for j in range(n):
+                first, second, k = t[i, j], t[i + 1, j] if i + 1 < m else spare, 0
+                for s in range(width):
+                    first[s] = 0.0
+                for s in range(width):
+                    second[s] = 0.0
+                while k + 4 <= count:  # four terms at a time: fewer loads and stores, the same order of additions
+                    a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+                    e0, e1, e2, e3 = one[a, 0], one[b, 0], one[c, 0], one[d, 0]
+                    f0, f1, f2, f3 = two[a, 0], two[b, 0], two[c, 0], two[d, 0]
+                    p0, p1, p2, p3 = p[a, j], p[b, j], p[c, j], p[d, j]
                     for s in range(width):
-                        t[i, j, s] = (((t[i, j, s] + f0 * p[a, j, s]) + f1 * p[b, j, s])
-                                      + f2 * p[c, j, s]) + f3 * p[d, j, s]
-                k += 4
-            while k < count:
-                a, f0 = columns[k], f[i, columns[k], 0]
-                for j in range(n):
+                        first[s] = (((first[s] + e0 * p0[s]) + e1 * p1[s]) + e2 * p2[s]) + e3 * p3[s]
+                        second[s] = (((second[s] + f0 * p0[s]) + f1 * p1[s]) + f2 * p2[s]) + f3 * p3[s]
+                    k += 4
+                while k < count:
+                    e0, f0, p0 = one[columns[k], 0], two[columns[k], 0], p[columns[k], j]
                     for s in range(width):
-                        t[i, j, s] += f0 * p[a, j, s]
-                k += 1
+                        first[s] += e0 * p0[s]
+                        second[s] += f0 * p0[s]
+                    k += 1
         else:
+            for j in range(n):
+                for s in range(width):
+                    t[i, j, s] = 0.0
             for k in range(n):
                 for j in range(n):
                     for s in range(width):
@@ -139,7 +147,7 @@ def _symmetric_half(t, f, q, out, width):
     n = t.shape[1]
     columns = np.empty(n, np.int64)
     for j in range(f.shape[0]):
-        count = _nonzero(f[j], columns) if f.shape[2] == 1 else 0
+        count = _nonzero(f[j], f[j], columns) if f.shape[2] == 1 else 0
         for i in range(j, f.shape[0]):
             for s in range(width):
                 out[i, j, s] = q[i, j, 0] if q.shape[2] == 1 else q[i, j, s]
