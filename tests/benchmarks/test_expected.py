@@ -128,6 +128,22 @@ def test_tables(results: Results, expected: Expected, capsys: pytest.CaptureFixt
     expected("verdicts", "\n".join([json.dumps(said), *lines]))
 
 
+def test_tables_and_pages_of_short_runs(short: list[Store], expected: Expected, capsys: pytest.CaptureFixture[str],
+                                        monkeypatch: pytest.MonkeyPatch) -> None:
+    """What hand-made rows lack: windows, outages, requirements, faults, notes of each setting."""
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.chdir(short[0].folder.parent)
+    for store in short:
+        print_results(Store(store.folder.name))
+    expected("tables-of-runs", capsys.readouterr().out)
+    out = []
+    for name in ("odometry", "recorded", "ningbo-metro"):
+        found = load_results(next(store.folder for store in short if name in store.rows()["scenario"].tolist()))
+        made = page(render(replace(found, folder=Path("DIR"), manifest={**found.manifest, **MACHINE})))
+        out.append(made.partition("<main>")[2].partition('id="provenance"')[0])
+    expected("pages-of-runs", "\n".join(out).replace(str(EXAMPLES), "EXAMPLES"))
+
+
 def test_help_and_lists(railstate: Command, expected: Expected) -> None:
     out = [railstate("--help").out, *(railstate(name, "--help").out for name in cli.COMMANDS),
            *(railstate("new", name, "--help").out for name in ("estimator", "scenario", "recording"))]

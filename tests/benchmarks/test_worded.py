@@ -88,6 +88,9 @@ def test_errors_by_window_and_by_outage() -> None:
     assert frame.to_dict("list") == {"window": ["open", "tunnel"], "a": ["1.00 ± 0.12", "30.00 ± 0.12"],
                                      "b": ["2.00 ± 0.12", "40.00 ± 0.12"]}
     assert list(window_tables(table[table["quantity"] != "position-open"], manifest)) == []  # one window is no table
+    both = pd.concat([table.assign(scenario="z"), table])
+    of = {"scenarios": dict.fromkeys("sz", manifest["scenarios"]["s"])}
+    assert [title[:3] for title, _ in window_tables(both, of)] == ["z/v", "s/v"]  # as the rows have them
     rows = pd.DataFrame({"scenario": "s", "variant": "v", "estimator": ["b", "b", "a", "a"],
                          "begin:outage:s": [90.0, 30.0] * 2, "rmse:position-outage-end:m": [4.0, 3.0, 2.0, 1.0]})
     (key, frame), = outage_tables(rows)
