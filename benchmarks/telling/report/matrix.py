@@ -63,8 +63,8 @@ def matrix(cells: Sequence[Cell]) -> Matrix:
     floors = any(floor_name(line) for cell in cells for line in cell.of("error"))
     against: list[str] = [*AGAINST] if floors else [*AGAINST[:2]]
     seconds = any(len(cell.rankings) > 1 for cell in cells)
-    found = Counter(family for cell in cells for family in {cell.families.get(label, "Other") for label
-                                                            in _ranked(cell)})
+    found = Counter(family for cell in cells for family in dict.fromkeys(
+        cell.families.get(label, "Other") for label in _ranked(cell)))  # in the order of entries: of equals the first
     families = sorted(found, key=lambda name: -found[name])
     rows = [_row(cell, families, len(against), 2 if seconds else 1) for cell in cells if cell.rankings]
     tallies = {family: [_tally([row.cells[family][view] for row in rows]) for view in
