@@ -19,6 +19,8 @@ Sets = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE",
                                          help="Override a key of the scenario file, such as channel.p=0.3.")]
 Plugins = Annotated[list[str], typer.Option("--plugin", metavar="FILE.py",
                                             help="Use estimator classes of a loose file.")]
+Line = Annotated[str, typer.Option("--line", metavar="FILE", help="The line: a TTOBench track file.")]
+Train = Annotated[str, typer.Option("--train", metavar="FILE", help="The train: a TTOBench train file.")]
 Recording = Annotated[list[str], typer.Option("--recording", metavar="FILE",
                                               help="Recorded trip for the recorded setting; several: several trips.")]
 Map = Annotated[str, typer.Option("--map", metavar="ROLE=COLUMN,..",
@@ -98,10 +100,12 @@ def meaning(columns: str, quality: str, missing: str, track: str, balises: str, 
     return changes
 
 
-def trips(paths: list[str]) -> dict[str, Any]:
-    """`--recording FILE`, given once or several times, as an override of the scenario. Raises InputError."""
-    found = [existing("--recording", path) for path in paths]
-    return {"plant.recording": found[0] if len(found) == 1 else found} if found else {}
+def files(line: str, train: str, recording: list[str]) -> dict[str, Any]:
+    """`--line`, `--train` and `--recording FILE`, the last given once or several times, as overrides of the scenario.
+    Raises InputError."""
+    found = {f"plant.{name}": existing(f"--{name}", path) for name, path in (("line", line), ("train", train)) if path}
+    paths = [existing("--recording", path) for path in recording]
+    return {**found, **({"plant.recording": paths[0] if len(paths) == 1 else paths} if paths else {})}
 
 
 def existing(flag: str, path: str) -> str:

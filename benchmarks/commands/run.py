@@ -20,6 +20,7 @@ from .options import (
     From,
     Jobs,
     Json,
+    Line,
     Map,
     Memory,
     Missing,
@@ -34,13 +35,13 @@ from .options import (
     Timeout,
     To,
     Track,
+    Train,
     Without,
-    existing,
+    files,
     labels,
     meaning,
     names_in,
     overrides,
-    trips,
 )
 
 
@@ -56,8 +57,8 @@ def run(
     set_: Sets = [],  # noqa: B006
     plugin: Plugins = [],  # noqa: B006
     keep: Annotated[int, typer.Option(help="Keep the trajectories of the first N runs for figures.")] = 1,
-    line: Annotated[str, typer.Option(help="Track file (TTOBench JSON) for the metro plant.")] = "",
-    train: Annotated[str, typer.Option(help="Train file (TTOBench JSON) for the metro plant.")] = "",
+    line: Line = "",
+    train: Train = "",
     recording: Recording = [],  # noqa: B006
     map_: Map = "",
     quality: Quality = "",
@@ -81,8 +82,7 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Run estimators on scenarios and print the tables."""
-    files = {f"plant.{name}": existing(f"--{name}", path) for name, path in (("line", line), ("train", train)) if path}
-    changes = {**overrides(set_), **files, **trips(recording),
+    changes = {**overrides(set_), **files(line, train, recording),
                **meaning(map_, quality, missing, track, balises, from_, to, without)}
     again = names_in(retry)
     allowed = [status.name for status in Status if status is not Status.ok]

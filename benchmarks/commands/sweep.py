@@ -31,21 +31,34 @@ from ..telling.console import print_table
 from ..telling.marks import MARKS
 from ..telling.markup import to_markdown
 from ..telling.rankings import records
-from ..telling.report.sweep import DESCRIPTION, VALUES, Sweep
+from ..telling.report.sweep import DESCRIPTION, VALUES, Arranged, Sweep
 from ..telling.wording import bracket, number, plus_minus, ratio, value_words
 from .options import (
     Backend,
+    Balises,
     Batch,
     Estimators,
+    From,
     Jobs,
+    Line,
+    Map,
     Memory,
+    Missing,
     Plugins,
+    Quality,
+    Recording,
     Runs,
     Scheduler,
     Seed,
     Sets,
     Timeout,
+    To,
+    Track,
+    Train,
+    Without,
+    files,
     labels,
+    meaning,
     names_in,
     overrides,
     value,
@@ -63,6 +76,17 @@ def sweep(
     out: Annotated[str, typer.Option(help="Folder for rows, sweep.csv and plots.")] = "",
     set_: Sets = [],  # noqa: B006
     plugin: Plugins = [],  # noqa: B006
+    line: Line = "",
+    train: Train = "",
+    recording: Recording = [],  # noqa: B006
+    map_: Map = "",
+    quality: Quality = "",
+    missing: Missing = "",
+    track: Track = "",
+    balises: Balises = "",
+    from_: From = None,
+    to: To = None,
+    without: Without = [],  # noqa: B006
     batch: Batch = 0,
     backend: Backend = "local",
     scheduler: Scheduler = "",
@@ -74,7 +98,8 @@ def sweep(
     axes: dict[str, list[Any]] = {}
     for key, values in map(_axis, over):
         axes.setdefault(key, []).extend(item for item in values if item not in axes.get(key, []))
-    fixed = overrides(set_)
+    fixed = {**overrides(set_), **files(line, train, recording),
+             **meaning(map_, quality, missing, track, balises, from_, to, without)}
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     found, variant = find_one(scenario, {**fixed, **points[0]})  # a key that is fixed may need one that is swept
     name = scenario if scenario.endswith(f"/{variant}") else f"{scenario}/{variant}"
@@ -93,7 +118,7 @@ def sweep(
         summary, designed = verdicts_of(store), _design_seconds(plan)
         summary = pd.concat([summary, designed], ignore_index=True) if len(designed) else summary
         for key, item in reversed(point.items()):
-            summary.insert(0, key, _plain(item))
+            summary.insert(0, key, pd.Series(_plain(item), summary.index, dtype=object))  # 1 beside 2.5 stays 1
         summaries.append(summary)
         reasons[tuple(_plain(item) for item in point.values())] = _reasons(rows)
         shown = [(a, b) for a, b in store.manifest()["scenarios"][found.name]["table"]]
@@ -108,14 +133,14 @@ def sweep(
         part = told.part(table, *pair)
         if not part.empty:
             unit = part["shown_unit"].iloc[0]
-            print_table(bracket(f"{name}: {' '.join(pair)}", unit), _grid(part, list(axes), names, reasons),
-                        ["± is half of the 95 % interval."])
+            print_table(bracket(f"{name}: {' '.join(pair)}", unit), _grid(told, told.measured(part), [], plus_minus),
+                        ["± is half of the 95 % interval."], len(axes))
             canvas = told.figure(part)
             if canvas:
                 for suffix in ("svg", "png"):
                     canvas.save(folder / f"{'-'.join(pair)}.{suffix}")
                 plots += 1
-    _requirements(Store(folder), name, table, list(axes), names)
+    _requirements(Store(folder), told, table)
     for line in _broken(table, list(axes)):
         print(line)
     print(f"{len(table)} summary lines in {folder / VALUES}" + (f", {plots} plots beside it" if plots else "")
@@ -164,42 +189,36 @@ def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:
     return [(a, b) for a, _, b in (item.partition(":") for item in names_in(metric))]
 
 
-def _grid(part: pd.DataFrame, keys: list[str], names: list[str],
-          reasons: dict[tuple[str, ...], dict[str, str]]) -> pd.DataFrame:
-    """A line per swept point, a column per estimator: value and half of its 95 % interval, or why there is none."""
-    found = {(tuple(line[key] for key in keys), line["estimator"]):
-             plus_minus(line) for line in records(part)}
+def _grid(told: Sweep, arranged: Arranged, ahead: list[str], cell: Callable[[Mapping[str, Any]], str]) -> pd.DataFrame:
+    """A line per swept point, a column per estimator: its cell, or why there is none."""
+    labels_here = told.told_of(arranged) if ahead else told.estimators
     return pd.DataFrame([
-        {**dict(zip(keys, point, strict=True)),
-         **{name: found.get((point, name), reasons[point].get(name, "")) for name in names}} for point in reasons])
+        {**dict(zip([*ahead, *told.keys], point, strict=True)),
+         **{label: cell(lines[label]) if label in lines else told.why(point, label) for label in labels_here}}
+        for point, lines in arranged])
 
 
-def _requirements(store: Store, name: str, table: pd.DataFrame, keys: list[str], names: list[str]) -> None:
+def _requirements(store: Store, told: Sweep, table: pd.DataFrame) -> None:
     """Print which estimator meets which requirement at which point, and write it: requirements.md with sizes of errors,
     requirements.csv with a line for each of them."""
-    part = table[table["kind"] == "requirement"]
-    if part.empty:
+    arranged = told.requirements(table)
+    if not arranged:
         return
-    labels_here = [label for label in names if label in {*part["estimator"]}]
 
-    def grid(cell: Callable[[Mapping[str, Any]], str]) -> pd.DataFrame:
-        found: dict[tuple[Any, ...], dict[str, str]] = {}
-        for line in records(part):
-            asked = f"{line['quantity']}, {100 * float(line['against']):g} %"
-            found.setdefault((asked, *(line[key] for key in keys)), {})[line["estimator"]] = cell(line)
-        return pd.DataFrame([{"requirement": asked, **dict(zip(keys, point, strict=True)),
-                              **{label: mine.get(label, "") for label in labels_here}}
-                             for (asked, *point), mine in sorted(found.items(), key=lambda item: item[0][0])])
+    def words(line: Mapping[str, Any]) -> str:
+        return f"{MARKS[line['verdict']].sign} {value_words(line)}".strip()
 
-    title = f"{name}: which estimator keeps what"
+    title = f"{told.name}: which estimator keeps what"
     notes = ["✓ met, ✗ not met, ? undecided; the share of runs or time that keep it, its 95 % interval."]
-    print_table(title, grid(lambda line: f"{MARKS[line['verdict']].sign} {value_words(line)}".strip()),
-                [*notes, "A verdict alone may mislead: sizes of errors and widths of claims are in requirements.md."])
-    store.write_text("requirements.md", to_markdown(title, grid(lambda line: f"{MARKS[line['verdict']].sign} "
-                                                                f"{value_words(line)}; {line['note']}"), notes))
+    print_table(title, _grid(told, arranged, ["requirement"], words),
+                [*notes, "A verdict alone may mislead: sizes of errors and widths of claims are in requirements.md."],
+                1 + len(told.keys))
+    store.write_text("requirements.md", to_markdown(title, _grid(
+        told, arranged, ["requirement"], lambda line: f"{words(line)}; {line['note']}"), notes))
     columns = {"estimator": "estimator", "quantity": "requirement", "against": "asked", "verdict": "verdict",
                "value": "share", "low": "low", "high": "high", "runs": "runs", "deciding": "deciding", "note": "sizes"}
-    store.write_text("requirements.csv", csv(part[[*keys, *columns]].rename(columns=columns)))
+    part = table[table["kind"] == "requirement"]
+    store.write_text("requirements.csv", csv(part[[*told.keys, *columns]].rename(columns=columns)))
 
 
 def _axis(text: str) -> tuple[str, list[Any]]:

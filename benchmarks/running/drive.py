@@ -23,7 +23,7 @@ from ..scoring.floor import Floor, Riccati, basis
 from ..scoring.innovations import InnovationScore
 from ..scoring.requirements import RequirementScores
 from ..scoring.scorer import Scored, Scorer
-from ..scoring.windows import WindowErrors
+from ..scoring.windows import PhaseErrors, WindowErrors
 from .loop import Loop, Observer
 
 Watch = Callable[[int, Estimate, Step], None]
@@ -55,6 +55,7 @@ class _Scoring(Observer):
                              None if model.performance is None else model.performance[:, :model.own])
         self.innovations = InnovationScore(self.runs, world.steps, self.skip)
         self.windows = WindowErrors(getattr(world, "windows", ()), setting.quantities(), self.runs)
+        self.phases = PhaseErrors(setting.quantities(), self.runs)
         self.requirements = RequirementScores(setting.config.requirements, setting.quantities(), self.runs, world.steps)
         self.predicted_wanted = score.at == "prediction" and estimator.predicts
         self.updated_wanted = not self.predicted_wanted
@@ -83,6 +84,7 @@ class _Scoring(Observer):
         self.faults.add(estimate, step)
         if self.riccati:
             self.riccati.take(k, step)
+        self.phases.add(estimate, step, k >= self.skip)
         if k >= self.skip:
             self.windows.add(estimate, step)
             self.requirements.add(k, estimate, step)
@@ -136,8 +138,8 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     bad = found.status != 0
     found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})
     found.curves["nis"], found.curves["nis-count"] = scoring.innovations.curve.T
-    outcomes = {**scoring.windows.finish(), **scoring.requirements.finish(), **scoring.faults.finish(),
-                **setting.outcomes(world, found.metrics)}
+    outcomes = {**scoring.windows.finish(), **scoring.phases.finish(), **scoring.requirements.finish(),
+                **scoring.faults.finish(), **setting.outcomes(world, found.metrics)}
     floor = scoring.riccati.finish() if scoring.riccati else floor
     if floor:
         outcomes.update(floor.outcomes(found.metrics))

@@ -11,6 +11,8 @@ IDENTITY = ("scenario", "variant", "estimator", "run")
 TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "samples",
           "throughput_ns", "sampling_period_s")
 """Columns of timing.csv."""
+PHASES = ("standing", "accelerating", "coasting", "braking")
+"""Phases of driving, by the mean acceleration over a step: coasting is what neither accelerates nor brakes."""
 
 
 def metric_columns(rows: pd.DataFrame) -> list[tuple[str, str, str, str]]:

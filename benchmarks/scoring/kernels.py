@@ -303,3 +303,30 @@ def add_windows(vector, truth, active, window, index, weight, owner, share, squa
                     for j in range(first, i):
                         error = weight[j] * (vector[index[j], s] - truth[index[j], s])
                         squared[q, w, s] += error * error / share[j]
+
+
+STANDING, COASTING = 0.05, 0.1
+"""A train slower than this (m/s) stands; within +- this (m/s^2) a moving one neither accelerates nor brakes."""
+
+
+@kernel
+def driving_phases(speed, length, before, phase):
+    """phase (S,): by place in `columns.PHASES`, of a step of `length` (S,) s that ends at `speed` (S,) m/s and began at
+    `before` (S,), which then is `speed`; -1 where that is not known."""
+    for s in range(phase.shape[0]):
+        v, phase[s] = speed[s], -1
+        if v <= STANDING:
+            phase[s] = 0
+        elif length[s] > 0.0:
+            a = (v - before[s]) / length[s]
+            phase[s] = 1 if a > COASTING else 3 if a < -COASTING else 2 if np.isfinite(a) else -1
+        before[s] = v
+
+
+@kernel
+def add_phases(vector, truth, active, place, length, before, phase, scored, index, weight, owner, share, squared,
+               steps):
+    """Tell the phase of a step, the speed being the truth's element `place`, and add its squared errors to it."""
+    driving_phases(truth[place], length, before, phase)
+    if scored:
+        add_windows(vector, truth, active, phase, index, weight, owner, share, squared, steps)

@@ -31,7 +31,7 @@ from ..telling.console import progress
 from ..telling.markup import to_latex, to_markdown
 from ..telling.rankings import cells_of
 from ..telling.sentences import caption
-from ..telling.tables import cell_table, outage_tables, window_tables
+from ..telling.tables import cell_table, outage_tables, phase_tables, window_tables
 from ..telling.wording import notes_of
 
 
@@ -154,9 +154,10 @@ def texts(table: pd.DataFrame, rows: pd.DataFrame, manifest: Mapping[str, Any], 
         yield from _both(f"{cell.scenario}~{cell.variant}", cell.key, cell_table(cell), notes)
     for key, frame in outage_tables(rows):
         yield f"tables/{key.replace('/', '~')}~outages.csv", csv(frame)
-    for title, frame in window_tables(table, manifest):
-        cell, _, what = title.partition(": ")
-        yield from _both(f"{cell.replace('/', '~')}~{what.split()[2]}", title, frame, [])
+    for kind, tables in (("", window_tables), ("-phases", phase_tables)):
+        for title, frame in tables(table, manifest):
+            cell, _, what = title.partition(": ")
+            yield from _both(f"{cell.replace('/', '~')}~{what.split()[2]}{kind}", title, frame, [])
 
 
 def _both(stem: str, title: str, frame: pd.DataFrame, notes: Sequence[str]) -> Iterator[tuple[str, str]]:

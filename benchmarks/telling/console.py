@@ -156,8 +156,10 @@ def _lines(cell: list[Piece], width: int) -> list[list[Piece]]:
     return [[(line, style)] for line in textwrap.wrap("".join(text for text, _ in cell), width, break_on_hyphens=False)]
 
 
-def print_table(title: str, table: pd.DataFrame | Sequence[Mapping[str, Any]], notes: Sequence[str] = ()) -> None:
-    """A table of texts, a frame or a mapping per row: words to the left and wrapped, numbers to the right."""
+def print_table(title: str, table: pd.DataFrame | Sequence[Mapping[str, Any]], notes: Sequence[str] = (),
+                keys: int = 1) -> None:
+    """A table of texts, a frame or a mapping per row: words to the left and wrapped, numbers to the right. keys: how
+    many first columns say together what a line is about."""
     if isinstance(table, Sequence):
         columns = {name: [row[name] for row in table] for name in (table[0] if table else ())}
     else:
@@ -170,10 +172,24 @@ def print_table(title: str, table: pd.DataFrame | Sequence[Mapping[str, Any]], n
         made.append(Column(str(name).split(" ") if right else [str(name)], [[(value, "")] for value in values], right,
                            not right and not name_like))
     if made:
-        print_columns(made[0], made[1:], title)
+        print_columns(_side_by_side(made[:keys]), made[keys:], title)
     for note in notes:
         wrapped(note)
     print()
+
+
+def _side_by_side(columns: list[Column]) -> Column:
+    """Several columns as one, none of them wrapped."""
+    if len(columns) == 1:
+        return columns[0]
+
+    def line(texts: Sequence[str]) -> str:
+        return (" " * GAP).join(text.rjust(column.width) if column.right else text.ljust(column.width)
+                                for text, column in zip(texts, columns, strict=True))
+
+    return Column([line([" ".join(column.head) for column in columns])], [
+        [(line(["".join(text for text, _ in cell) for cell in cells]), "")]
+        for cells in zip(*(column.cells for column in columns), strict=True)])
 
 
 COMPILING = "compiling what this run needs for this version and this processor, once: up to two minutes"

@@ -6,7 +6,7 @@ from ..judging.table import verdicts_of
 from ..store.folder import Store
 from .console import command, print_json, print_table, say, wrapped
 from .rankings import cells_of, records
-from .tables import window_tables
+from .tables import phase_tables, window_tables
 from .terminal import print_cell, print_key
 from .wording import notes_of
 
@@ -15,14 +15,15 @@ def print_results(store: Store) -> None:
     """The cells on standard output, lost runs with their replay lines, and the closing count."""
     rows, manifest, table = store.rows(), store.manifest(), verdicts_of(store)
     told: set[str] = set()
-    windows = list(window_tables(table, manifest))
+    parts = [*window_tables(table, manifest), *phase_tables(table[table["scenario"].isin(
+        table["scenario"][table["kind"] == "requirement"])], manifest)]
     for cell in cells_of(table, manifest, store.timing()):
         print_cell(cell, f", seed {manifest['configuration']['seed']}")
         for note in notes_of(cell.about["variants"][cell.variant]):
             if note not in told:
                 wrapped(f"Note: {note}")
                 told.add(note)
-        for title, frame in windows:
+        for title, frame in parts:
             if title.startswith(f"{cell.key}: ") and cell.variant == next(iter(cell.about["variants"])):
                 print_table(title, frame)
         print()

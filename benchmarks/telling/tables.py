@@ -1,4 +1,4 @@
-"""Tables as frames of texts, for files: a cell's verdicts, errors by window, errors by outage. Of verdicts alone."""
+"""Tables as frames of texts: a cell's verdicts, errors by window, by phase of driving, by outage. Of verdicts alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from ..scoring.columns import window_columns
+from ..scoring.columns import PHASES, window_columns
 from .marks import drawn
 from .rankings import Cell, records
 from .sentences import title_of
@@ -65,9 +65,35 @@ def window_tables(table: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[
 
 def windows(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:
     """quantity -> (window, its quantity's name) of metrics that are errors in one of several windows."""
-    found = window_columns(names, quantities)
+    return {quantity: found for quantity, columns in _parts(names, quantities).items()
+            if len(found := [part for part in columns if part[0] not in PHASES]) > 1}
+
+
+def phase_tables(table: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """(scenario/variant: quantity by phase, table) of cells with a true speed: a line an entry, a column a phase of
+    driving."""
+    for (scenario, variant), part in table[table["kind"] == "value"].groupby(["scenario", "variant"], sort=False):
+        names = (part["metric"] + ":" + part["quantity"] + ":" + part["unit"]).unique()
+        for quantity, columns in phases(names, manifest["scenarios"][str(scenario)]["quantities"]).items():
+            found: dict[str, dict[str, str]] = {}
+            unit = ""
+            for phase, name in columns:
+                for line in records(part[(part["metric"] == "rmse") & (part["quantity"] == name)]):
+                    unit = line["shown_unit"]
+                    found.setdefault(line["estimator"], {"entry": line["estimator"]})[phase] = plus_minus(line)
+            yield f"{scenario}/{variant}: {bracket(f'rmse of {quantity}', unit)} by phase", pd.DataFrame(
+                list(found.values())).fillna("")
+
+
+def phases(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:
+    """quantity -> (phase, its quantity's name) of metrics that are errors in a phase of driving."""
+    return {quantity: found for quantity, columns in _parts(names, quantities).items()
+            if (found := [part for part in columns if part[0] in PHASES])}
+
+
+def _parts(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:
     return {quantity: [(window, column.split(":")[1]) for window, column in columns]
-            for quantity, columns in found.items() if len(columns) > 1}
+            for quantity, columns in window_columns(names, quantities).items()}
 
 
 def outage_tables(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:

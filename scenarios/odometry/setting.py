@@ -26,10 +26,8 @@ from .config import OdometryConfig
 from .inclusion import Intervals
 from .plant import Drawn, Ride, simulate
 from .told import Knowledge
-from .world import PHASES, OdometryWorld, phases
+from .world import OdometryWorld
 
-SMOOTHED = 0.5
-"""The wheels' speeds that dead reckoning is told are means over this, s."""
 MOVING = 0.05
 """Under this speed (m/s) a train counts as standing: neither errors nor requirements are scored."""
 
@@ -91,9 +89,7 @@ class Odometry(Setting[OdometryConfig]):
         distance = sensors.wheel.travelled(counts)
         reading, bias = sensors.accelerometer.read(ride.acceleration, self._climb(position, common), period,
                                                    common("accelerometer"))
-        span = max(1, round(SMOOTHED / period))
-        smooth = np.concatenate([np.zeros((span, *counts.shape[1:])), counts])
-        smooth = sensors.wheel.pulse / (span * period) * (smooth[span:] - smooth[:-span])
+        smooth = sensors.wheel.speed(counts, period)
         u = np.stack([reading, ride.force, np.ones_like(reading), distance[:, 0], distance[:, 1], smooth[:, 0],
                       smooth[:, 1], ride.standing.astype(float), *self._calm(reading, ride)], axis=1)
         worth = sensors.wheel.variance(distance, ride.standing, period)
@@ -117,8 +113,7 @@ class Odometry(Setting[OdometryConfig]):
         return OdometryWorld(
             truth=truth, u=u, y=y, received=there & arrived, variance=variance, active=ride.active, period=period,
             balise=names.index("balise") if "balise" in names else -1, heard=arrived, passages=passages, ride=ride,
-            balise_variance=sensors.balise.variance(passages.sd), start=plant.line.stops[0], moving=MOVING,
-            windows=PHASES, window=phases(ride, MOVING))
+            balise_variance=sensors.balise.variance(passages.sd), start=plant.line.stops[0], moving=MOVING)
 
     def _calm(self, reading: Array, ride: Ride) -> tuple[Array, Array, Array]:
         """Inputs `free`, `still-mean` and `still-count`, (K, S) each."""

@@ -15,17 +15,6 @@ from ..sensors.balise import Passages
 from ..world import Event, Step
 from .plant import Ride
 
-PHASES = ("accelerating", "coasting", "braking")
-"""Of a moving train: mean acceleration over a step above, within or under +-`COASTING`."""
-COASTING = 0.1
-
-
-def phases(ride: Ride, moving: float) -> NDArray[np.int16]:
-    """The phase (K, S) of each step, -1 at a stand."""
-    a = ride.acceleration
-    phase = np.where(a > COASTING, 0, np.where(a < -COASTING, 2, 1))
-    return np.where(ride.state[:, 1] > moving, phase, -1).astype(np.int16)
-
 
 @dataclass(frozen=True)
 class OdometryWorld:
@@ -47,8 +36,6 @@ class OdometryWorld:
     balise_variance: Array
     start: float
     moving: float
-    windows: tuple[str, ...]
-    window: NDArray[np.int16]
     closed_loop: bool = False
     extra: dict[str, Array] = field(default_factory=dict)
 
@@ -127,5 +114,5 @@ class OdometryWorld:
             gone = at
         self.says.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
         events.append(Event(1.0 - gone, self.y[k], self.received[k], self.says))
-        return Step(self.u[k], tuple(events), self.truth[k], self.active[k], self.scored[k], self.window[k], k + 1,
+        return Step(self.u[k], tuple(events), self.truth[k], self.active[k], self.scored[k], None, k + 1,
                     k * self.period, self.period, reference=self.reference[k])

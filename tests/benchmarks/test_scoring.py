@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from railstate.benchmarks.scoring.kernels import BINS, add_spread, histogram_medians, lane_sum, quadratic_forms
 from railstate.benchmarks.scoring.scorer import Scorer
+from railstate.benchmarks.scoring.windows import PhaseErrors
 from railstate.estimators.interface import Estimate, Status
 from railstate.scenarios.setting import Quantity
 from railstate.scenarios.world import Step
@@ -34,6 +35,41 @@ def scored(runs: slice, mean: np.ndarray, covariance: np.ndarray):
         step = Step(np.zeros((0, 1)), (), truth[k][:, runs], active[k][runs])
         scorer.add(k, Estimate(mean[k][:, runs], covariance=covariance[k][:, :, runs]), step)
     return scorer.finish(np.zeros(len(range(33)[runs]), dtype=np.int8), {})
+
+
+def test_errors_by_phase_equal_a_naive_loop() -> None:
+    """The first position and speed by the phase that the true speed tells; none while it is unknown or at the start."""
+    rng = np.random.default_rng(8)
+    length = np.array([0.0, 0.5, 0.5, 0.25] + [0.5] * 28)
+    speed = np.repeat(np.maximum(np.cumsum(0.2 * rng.choice([-1, 0, 0, 1], (16, 5)), axis=0), 0.0), 2, axis=0)
+    speed[9, 2] = np.nan
+    truth = np.stack([np.cumsum(length[:, None] * np.nan_to_num(speed), axis=0), speed], axis=1)
+    mean, active = truth + rng.normal(size=truth.shape), rng.uniform(size=speed.shape) < 0.9
+    mean[9, 1, 2] = 7.0
+    quantities = (Quantity("position", "m", ((0, 1.0),)), Quantity("weighted", "1", ((0, 1.0), (1, 1.0)), mean=False),
+                  Quantity("speed", "m/s", ((1, 1.0),)), Quantity("speed-front", "m/s", ((1, 1.0),)))
+    scores = PhaseErrors(quantities, 5)
+    for k in range(len(length)):
+        step = Step(np.zeros((0, 5)), (), truth[k], active[k], length=length[k])
+        scores.add(Estimate(mean[k]), step, k >= SKIP)
+    told = (("position", "m"), ("speed", "m/s"))
+    expected: dict[tuple[str, str, str], list[list[float]]] = {
+        ("rmse", f"{name}-{phase}", unit): [[] for _ in range(5)] for name, unit in told
+        for phase in ("standing", "accelerating", "coasting", "braking")}
+    for s in range(5):
+        for k in range(SKIP, len(length)):
+            a = (speed[k, s] - speed[k - 1, s]) / length[k]
+            phase = ("standing" if speed[k, s] <= 0.05 else "accelerating" if a > 0.1 else "braking" if a < -0.1
+                     else "coasting")
+            for i, (name, unit) in enumerate(told):
+                if active[k, s] and np.isfinite(a if phase != "standing" else 0.0) and np.isfinite(truth[k, i, s]):
+                    expected["rmse", f"{name}-{phase}", unit][s].append((mean[k, i, s] - truth[k, i, s]) ** 2)
+    found = scores.finish()
+    assert set(found) == set(expected) and all(any(map(len, runs)) for runs in expected.values())
+    for key, squares in expected.items():
+        np.testing.assert_allclose(found[key], [np.sqrt(np.mean(one)) if one else np.nan for one in squares],
+                                   err_msg=str(key))
+    assert PhaseErrors(quantities[:2], 5).finish() == {}
 
 
 def test_metrics_equal_a_naive_loop() -> None:

@@ -17,7 +17,7 @@ from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
 from railstate.benchmarks.telling.report import plots
 from railstate.benchmarks.telling.report.tuned import tuned_table
 from railstate.benchmarks.telling.sentences import finding, short_finding
-from railstate.benchmarks.telling.tables import cell_table, outage_tables, window_tables
+from railstate.benchmarks.telling.tables import cell_table, outage_tables, phase_tables, window_tables
 
 ABOUT = {"variants": {"v": {"title": "calm", "notes": []}}, "quantities": ["position"],
          "table": [["rmse", "position"], ["nees", "state"], ["headway", "headway-65"], ["violations", "late"]]}
@@ -91,6 +91,12 @@ def test_errors_by_window_and_by_outage() -> None:
     both = pd.concat([table.assign(scenario="z"), table])
     of = {"scenarios": dict.fromkeys("sz", manifest["scenarios"]["s"])}
     assert [title[:3] for title, _ in window_tables(both, of)] == ["z/v", "s/v"]  # as the rows have them
+    assert list(phase_tables(table, manifest)) == []
+    table["quantity"] = table["quantity"].str.replace("open", "coasting").str.replace("tunnel", "braking")
+    (title, frame), = phase_tables(table, manifest)
+    assert title == "s/v: rmse of position [cm] by phase" and list(window_tables(table, manifest)) == []
+    assert frame.to_dict("list") == {"entry": ["a", "b"], "coasting": ["1.00 ± 0.12", "2.00 ± 0.12"],
+                                     "braking": ["30.00 ± 0.12", "40.00 ± 0.12"]}
     rows = pd.DataFrame({"scenario": "s", "variant": "v", "estimator": ["b", "b", "a", "a"],
                          "begin:outage:s": [90.0, 30.0] * 2, "rmse:position-outage-end:m": [4.0, 3.0, 2.0, 1.0]})
     (key, frame), = outage_tables(rows)

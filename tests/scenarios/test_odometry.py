@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from railstate.benchmarks.store.folder import Store
 from railstate.scenarios.files import load
-from railstate.scenarios.odometry.world import PHASES, OdometryWorld, phases
+from railstate.scenarios.odometry.world import OdometryWorld
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.sensors.gnss import fixes
 from scipy.linalg import expm
@@ -249,15 +247,6 @@ def test_a_line_and_a_train_of_one_s_own(railstate: Command) -> None:
 def test_bad_files_are_one_message(railstate: Command, override: str, expected: str) -> None:
     done = railstate("run", "odometry/dry", "--set", override, "--runs", 1, "--out", "out")
     assert done.code == 2 and expected in done.err and "Traceback" not in done.err, done.err
-
-
-def test_phases_of_a_ride() -> None:
-    speed = np.array([[0.0, 5.0], [5.0, 5.0], [5.0, 5.0], [5.0, 0.0], [5.0, 5.0]])
-    state = np.stack([np.zeros((5, 2)), speed], axis=1)
-    ride: Any = SimpleNamespace(acceleration=np.array([[1.0, 0.2], [0.1, -0.1], [-0.2, 0.0], [0.2, -9.0], [-0.1, 0.3]]),
-                                state=state)
-    assert phases(ride, 0.5).tolist() == [[-1, 0], [1, 1], [2, 1], [0, -1], [1, 0]]
-    assert PHASES == ("accelerating", "coasting", "braking")
 
 
 def test_slip_comes_and_goes_at_its_rates() -> None:

@@ -196,6 +196,12 @@ class Panel:
         if text:
             self.canvas.text(self.left + self.width - 2, at - 2, text, anchor="end", colour=colour, size=FONT - 1)
 
+    def names(self, xs: ArrayLike, texts: Sequence[str]) -> None:
+        """Words under the x axis where it has no numbers."""
+        for x, text in zip(np.asarray(xs, dtype=np.float64), texts, strict=True):
+            self.canvas.text(self._across(float(x)), self.top + self.height + 9, text, anchor="middle", colour="muted",
+                             size=FONT - 0.5)
+
     def mark(self, x: float, y: float, style: Style, *, size: float = 2.8, title: str = "") -> None:
         """A marker at a data point."""
         draw_marker(self.canvas, self._across(x), self._down(y), style, size, title)

@@ -18,7 +18,7 @@ from .random_access import trace_and_bounds
 from .ranks import critical_difference
 from .recorded import errors_by_outage, recorded_trip
 from .requirements import claim_against_error, error_under_allowance, width_against_misses
-from .sections import errors_by_section
+from .sections import errors_by_phase, errors_by_section
 from .trust import certified_against_measured, nees_over_time, nis_over_time
 
 APART = (f"Of more than {CROWD} entries it shows each family's best by the first quantity; railstate plot --entries "
@@ -81,6 +81,10 @@ FIGURES: tuple[Figure, ...] = (
     Figure("sections", "Errors by section",
            "Root mean square error on each section of the trip, over the runs that finished.", errors_by_section,
            kinds=("metro",)),
+    Figure("phases", "Errors by phase of driving",
+           "Root mean square error while the train stands (under 0.05 m/s), accelerates (over 0.1 m/s²), coasts or "
+           "brakes (under −0.1 m/s²), by its true speed, over the runs that finished; numbers: tables/*-phases.md.",
+           errors_by_phase),
     Figure("recorded-trip", "The recorded trip",
            "First kept run. Bands are two claimed standard deviations wide on either side; grey: readings are out.",
            recorded_trip, kinds=("recorded",)),

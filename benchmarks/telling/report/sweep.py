@@ -28,6 +28,8 @@ from .sections import Entry, Table, chip
 
 DESCRIPTION = "sweep.json"
 VALUES = "sweep.csv"
+Arranged = list[tuple[tuple[str, ...], dict[str, Line]]]
+"""A table's lines: what each begins with, and each estimator's line of the verdict table there."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,33 @@ class Sweep:
         return over_key(part, self.keys[0], bracket(f"{metric} {quantity}", unit), self.styles())
 
 
+    def requirements(self, table: pd.DataFrame) -> Arranged:
+        """((requirement with what is asked, *point), the line of each estimator), requirement by requirement."""
+        asked = [{**line, "requirement": f"{line['quantity']}, {100 * float(line['against']):g} %"}
+                 for line in records(table[table["kind"] == "requirement"])]
+        names = sorted({line["requirement"] for line in asked})
+        return self._arranged(asked, ["requirement", *self.keys], [(name, *point) for name in names
+                                                                   for point in self.points()])
+
+    def measured(self, part: pd.DataFrame) -> Arranged:
+        """(point, the line of each estimator) of one metric."""
+        return self._arranged(records(part), self.keys, self.points())
+
+    def _arranged(self, lines: list[dict[str, Any]], keys: list[str], points: list[tuple[str, ...]]) -> Arranged:
+        found: dict[tuple[str, ...], dict[str, Line]] = {point: {} for point in points}
+        for line in lines:
+            found.get(tuple(str(line[key]) for key in keys), {})[line["estimator"]] = line
+        return list(found.items())
+
+    def why(self, point: tuple[str, ...], label: str) -> str:
+        """Why an estimator has no number at a point (whatever stands before it); empty where it has one."""
+        return self.lost.get(" | ".join(point[len(point) - len(self.keys):]), {}).get(label, "")
+
+    def told_of(self, arranged: Arranged) -> list[str]:
+        """The estimators that have a line somewhere, in order."""
+        return [label for label in self.estimators if any(label in lines for _, lines in arranged)]
+
+
 _SWEEP = TypeAdapter(Sweep)
 
 
@@ -103,8 +132,8 @@ def load(folder: str | Path) -> tuple[Sweep, pd.DataFrame]:
 def tables(sweep: Sweep, table: pd.DataFrame) -> list[tuple[str, str, Table, Markup | str]]:
     """(name, what its first column is, table, figure or nothing): requirements first, then each metric shown."""
     found: list[tuple[str, str, Table, Markup | str]] = []
-    asked = table[table["kind"] == "requirement"]
-    if len(asked):
+    asked = sweep.requirements(table)
+    if asked:
         found.append(("who keeps what", "requirement", _requirements(sweep, asked), ""))
     for metric, quantity in sweep.shown:
         part = sweep.part(table, metric, quantity)
@@ -113,43 +142,31 @@ def tables(sweep: Sweep, table: pd.DataFrame) -> list[tuple[str, str, Table, Mar
             caption = (bracket(f"{metric} of {quantity}", unit) + " at each point, half of the 95 % interval, verdict "
                        "among the estimators of that point.")
             found.append((f"{metric} {quantity}", sweep.keys[0],
-                          _over(sweep, records(part), sweep.points(), [], _measured, caption),
+                          _over(sweep, sweep.measured(part), _measured, caption),
                           Markup(canvas.svg(inline=True)) if canvas else ""))
     return found
 
 
-def _requirements(sweep: Sweep, part: pd.DataFrame) -> Table:
-    lines = [{**line, "requirement": f"{line['quantity']}, {100 * float(line['against']):g} %"}
-             for line in records(part)]
-    names = sorted({line["requirement"] for line in lines})
-    points = [(name, *point) for name in names for point in sweep.points()]
-    table = _over(sweep, lines, points, ["requirement"], _kept, "Share of the runs (or of the time) that keep each "
+def _requirements(sweep: Sweep, asked: Arranged) -> Table:
+    table = _over(sweep, asked, _kept, "Share of the runs (or of the time) that keep each "
                   "requirement, and whether that meets what is asked; under it 95th percentiles "
                   "over the runs of what counts there: a verdict alone may mislead.")
-    met = {label: sum(line["verdict"] == "met" for line in lines if line["estimator"] == label)
+    met = {label: sum(lines[label]["verdict"] == "met" for _, lines in asked if label in lines)
            for label in sweep.estimators}
     best = [label for label, count in met.items() if count == max(met.values()) and count]
     if best:
-        table.notes.append(f"Met most often, in {counted(max(met.values()), 'case')} of {len(points)}: "
+        table.notes.append(f"Met most often, in {counted(max(met.values()), 'case')} of {len(asked)}: "
                            f"{', '.join(best)}.")
     return table
 
 
-def _over(sweep: Sweep, lines: list[dict[str, Any]], points: list[tuple[str, ...]], ahead: list[str],
-          entry: Callable[[Line], Entry], caption: str) -> Table:
-    """A line a point, a column an estimator; `ahead` stands before the keys."""
-    keys = [*ahead, *sweep.keys]
-    found: dict[tuple[str, ...], dict[str, Entry]] = {}
-    for line in lines:
-        found.setdefault(tuple(str(line[key]) for key in keys), {})[line["estimator"]] = entry(line)
-    labels = [label for label in sweep.estimators if any(label in mine for mine in found.values())]
-    heads: list[tuple[Markup | str, str, bool]] = [(key, key, False) for key in [*keys[1:], *labels]]
-    out: list[tuple[str, list[Entry]]] = []
-    for point in points:
-        mine, why = found.get(point, {}), sweep.lost.get(" | ".join(point[len(ahead):]), {})
-        out.append((point[0], [*(Entry(value, value) for value in point[1:]), *(
-            mine.get(label, Entry(Markup("<small>{}</small>").format(why.get(label, "")))) for label in labels)]))
-    return Table(heads, out, caption)
+def _over(sweep: Sweep, arranged: Arranged, entry: Callable[[Line], Entry], caption: str) -> Table:
+    """A line a point, a column an estimator; what stands before the keys names the line."""
+    labels, ahead = sweep.told_of(arranged), len(arranged[0][0]) - len(sweep.keys)
+    heads: list[tuple[Markup | str, str, bool]] = [(key, key, False) for key in [*sweep.keys[1 - ahead:], *labels]]
+    return Table(heads, [(point[0], [*(Entry(value, value) for value in point[1:]), *(
+        entry(lines[label]) if label in lines else Entry(Markup("<small>{}</small>").format(sweep.why(point, label)))
+        for label in labels)]) for point, lines in arranged], caption)
 
 
 def _kept(line: Mapping[str, Any]) -> Entry:
