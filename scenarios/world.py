@@ -160,7 +160,9 @@ class Trajectory:
     (`Later`: what costs much and is wanted for few runs).
     windows: names of parts of the trip whose errors are reported on their own; window (K, S): which part a step is in,
     -1 for none. covariance (K, ny, ny, S or 1): what the sensors tell of each measurement, NaN where they do not.
-    late, faulty (K, ny, S): as in `Event`; reference (K, 2, S): as in `Step`. Raises InputError without lengths."""
+    late, faulty (K, ny, S): as in `Event`; reference (K, 2, S): as in `Step`. variance (K, ny, S), in place of
+    covariance: of each element by itself, NaN where its sensor tells none. inside: (element, share (K, S)): it is read
+    inside its step, after that share of it. Raises InputError without lengths."""
 
     truth: Array
     u: Array
@@ -177,6 +179,8 @@ class Trajectory:
     late: Index | None = None
     faulty: Mask | None = None
     reference: Array | None = None
+    variance: Array | None = None
+    inside: tuple[int, Array] | None = None
     portions: InitVar[object] = None
 
     def __post_init__(self, portions: object) -> None:
@@ -199,9 +203,35 @@ class Trajectory:
 
     def step(self, k: int, mean: Array) -> Step:
         starts, lengths = self._clock
-        covariance = None if self.covariance is None else self.covariance[k]
+        covariance = self._diagonal(k) if self.covariance is None else self.covariance[k]
         event = Event(1.0 if lengths[k] else 0.0, self.y[k], self.received[k], covariance,
                       None if self.late is None else self.late[k], None if self.faulty is None else self.faulty[k])
         window = None if self.window is None else self.window[k]
-        return Step(self.u[k], (event,), self.truth[k], self.active[k], None, window, k + (lengths[0] > 0), starts[k],
+        return Step(self.u[k], (event,) if self.inside is None else _parted(event, self.inside[0], self.inside[1][k]),
+                    self.truth[k], self.active[k], None, window, k + (lengths[0] > 0), starts[k],
                     lengths[k], None if self.reference is None else self.reference[k])
+
+    def _diagonal(self, k: int) -> Array | None:
+        if self.variance is None:
+            return None
+        told = self.variance[k]
+        gaps = np.where(np.isnan(told), np.nan, 0.0)
+        out = gaps[:, None] + gaps
+        np.einsum("iis->is", out)[:] = told
+        return out
+
+
+def _parted(event: Event, element: int, share: Array) -> tuple[Event, ...]:
+    """A step's event as two, where `element` is heard anywhere inside the step: it first, then the others."""
+    sent = event.received[element] if event.late is None else event.received[element] | (event.late[element] > 0)
+    if not sent.any() or (isinstance(event.share, float) and event.share == 0.0):
+        return (event,)
+    at, own = np.where(sent, share, 0.0), np.zeros((len(event.y), 1), dtype=bool)
+    own[element] = True
+
+    def half(share: Array, mine: Mask) -> Event:
+        late, faulty = (None if part is None else np.where(mine, part, 0) for part in (event.late, event.faulty))
+        return Event(share, event.y, event.received & mine, event.covariance, late,
+                     None if faulty is None else faulty.astype(bool))
+
+    return half(at, own), half(1.0 - at, ~own)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
+from ..aboard import FITTED, Instruments
 from ..arrays import Array
 from ..machine_code import njit
 from ..randomness import RunRandom
@@ -93,8 +94,16 @@ def _switch(sign, length, height, period, out):  # pyright: ignore
             out[k, r] = way * height[piece, r]
 
 
-class Sensors(Strict):
-    """Position and speed sensors with |v_m| <= v_bar, every step."""
+OWN = ("position", "speed")
+Sensor = Literal["position", "speed", "wheel-a", "wheel-b", "balise", "gnss", "radar", "accelerometer"]
+
+
+class Sensors(Instruments):
+    """Position and speed sensors with |v_m| <= v_bar, every step, and those aboard that are named."""
+
+    use: Annotated[list[Sensor], Field(min_length=1), key(
+        "what estimators get: position, speed, and of sensors aboard wheel-a, wheel-b, balise, gnss, radar, "
+        "accelerometer")] = ["position", "speed"]
 
     noise: Annotated[Literal["uniform", "biased", "gaussian"], key(
         "uniform; biased, v_bar (share sin + (1 - share) U(-1, 1)), a sine per run and sensor; gaussian, standard "
@@ -102,6 +111,32 @@ class Sensors(Strict):
     v_bar: Annotated[Range, key("bounds of position and speed", "[m, m/s]")]
     share: Annotated[float, Field(ge=0, le=1), key("of the sine in `biased`", "1")]
     period: Annotated[Range, key("least and greatest period of the sine", "s")]
+
+    @model_validator(mode="after")
+    def _something_is_measured(self) -> Sensors:
+        if not self.measured:
+            raise ValueError("use has the accelerometer alone: something has to be measured beside it")
+        return self
+
+    @property
+    def own(self) -> list[int]:
+        """The sensors of position and speed that are used, by place in `OWN`."""
+        return [i for i, name in enumerate(OWN) if name in self.use]
+
+    @property
+    def aboard(self) -> bool:
+        """Whether any sensor but those of position and speed is used."""
+        return not set(self.use) <= {*OWN}
+
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """The measurements aboard that are used, in their order."""
+        return tuple(name for name in FITTED if name in self.use)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the measurements in their order."""
+        return *(OWN[i] for i in self.own), *self.fitted
 
     @property
     def sd(self) -> Array:

@@ -16,11 +16,12 @@ from ..model import Inclusion
 
 @dataclass(frozen=True)
 class Rectangles:
-    """The two functions of an `Inclusion`. transition: the design model's; w_bar m/s^2; v_bar (2,) m, m/s."""
+    """The two functions of an `Inclusion`. transition: the design model's, of position and speed; w_bar m/s^2; reads:
+    of each measurement which of the two it reads, and its bound in m or m/s, infinite for none."""
 
     transition: Callable[[Array, Array, Interval], Array]
     w_bar: float
-    v_bar: Array
+    reads: tuple[tuple[int, float], ...]
 
     def inclusion(self, mean: Array, start: Array) -> Inclusion:
         """From mean (2, S) +- start (2,)."""
@@ -38,10 +39,14 @@ class Rectangles:
 
     def observe(self, low: Array, high: Array, measurement: Measurement) -> tuple[Array, Array]:
         """What agrees with the readings; where nothing does, a bound is wrong and the readings stand alone."""
-        bar = self.v_bar[:, None]
-        below, above = measurement.y - bar, measurement.y + bar
-        least, most = np.maximum(low, below), np.minimum(high, above)
-        wrong = least > most
-        least, most = np.where(wrong, below, least), np.where(wrong, above, most)
-        heard = measurement.received
-        return np.where(heard, least, low), np.where(heard, most, high)
+        low, high = low.copy(), high.copy()
+        for i, (state, bar) in enumerate(self.reads):
+            if not np.isfinite(bar) or not measurement.received[i].any():
+                continue
+            below, above = measurement.y[i] - bar, measurement.y[i] + bar
+            least, most = np.maximum(low[state], below), np.minimum(high[state], above)
+            wrong = least > most
+            least, most = np.where(wrong, below, least), np.where(wrong, above, most)
+            heard = measurement.received[i]
+            low[state], high[state] = np.where(heard, least, low[state]), np.where(heard, most, high[state])
+        return low, high

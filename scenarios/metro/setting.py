@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ..aboard import Aboard, hearing, sense
+from ..aboard.sensing import Trip as Ridden
 from ..arrays import Array
 from ..augmented import Extra, augmented
 from ..compiled import Compiled
 from ..densities import uniform
-from ..errors import InputError
+from ..errors import InputError, Unsupported
 from ..faults import Jump
 from ..measurement import Interval
 from ..measurement import told as told_covariance
@@ -25,6 +28,7 @@ from ..model import Bounds, DesignModel
 from ..observation import observe
 from ..railway import dynamics
 from ..railway.curvature import pieces, slope_change
+from ..railway.odometer import INPUTS, Odometer, slip_modes
 from ..railway.trip import Reference, Trip, simulate
 from ..randomness import Streams
 from ..schema import ScenarioConfig
@@ -86,7 +90,7 @@ class Metro(Setting[MetroConfig]):
         return self.config.plant.line.stops[0], self.config.plant.start_speed
 
     def batch_bytes(self) -> int:
-        return self.steps * 8 * 12
+        return self.steps * 8 * (12 if not self.config.sensors.aboard else 60)
 
     def world(self, streams: Streams) -> Trajectory:
         """u (K, 1, S) in shares of the greatest force; y (K, 2, S): position m, speed m/s."""
@@ -99,25 +103,51 @@ class Metro(Setting[MetroConfig]):
         trip = self._simulate(w, factors, config.disturbance.form == "physical")
         y = config.sensors.draw(sensed, steps, period)
         y += trip.state
-        there = np.ones(y.shape, dtype=bool)
+        own, state = config.sensors.own, trip.state
+        if len(own) < 2:
+            y, state = y[:, own], state[:, own]
+        there, u = np.ones(y.shape, dtype=bool), trip.u
+        aboard = self._aboard(trip, streams)
+        if aboard:
+            y, there, state = aboard.beside(y, state)
+            u = np.concatenate([u, aboard.inputs], axis=1)
 
         def extra() -> dict[str, Array]:
             position = trip.state[:, 0]
             return {"disturbance": trip.w, "reference-speed": trip.reference,
-                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position)}
+                    "speed-limit": plant.line.limit(position), "gradient": plant.line.gradient(position),
+                    **({f"slide-{axle}": aboard.slides[:, j].astype(float) for j, axle in enumerate("ab")}
+                       if aboard and plant.adhesion else {})}
 
         trajectory = Trajectory(
-            truth=trip.state, u=trip.u, y=y, received=there,
+            truth=trip.state, u=u, y=y, received=there,
             active=trip.active, lengths=np.full(steps, period), initial_mean=np.array(self.start)[:, None] + error,
             windows=self.sections, window=trip.section if self.sections else None,
             extra=Later(extra))
-        return observe(trajectory, streams, self.sensing(), config.channel, config.faults, trip.state)
+        heard = observe(trajectory, streams, self.sensing(), config.channel, config.faults, state)
+        return aboard.heard(heard) if aboard else heard
+
+    @property
+    def references(self) -> bool:
+        """Whether balises are read on the way."""
+        return "balise" in self.config.sensors.use
+
+    def _aboard(self, trip: Trip, streams: Streams) -> Aboard | None:
+        """What sensors aboard read; None where none is used."""
+        plant, sensors = self.config.plant, self.config.sensors
+        if not sensors.aboard:
+            return None
+        start = np.repeat(np.array(self.start)[:, None], trip.state.shape[2], axis=1)
+        position, speed = (np.concatenate([start[i:i + 1], trip.state[:, i]]) for i in range(2))
+        ridden = Ridden(position, speed, np.full(len(trip.state), self.config.time.period), plant.line, plant.train)
+        return sense(ridden, sensors.fitted, sensors, plant, plant.balises.on(plant.line), streams)
 
     def matched(self, runs: int) -> Matched | None:
         """Disturbance and noise that are fresh each step, or a constant disturbance as a state, by their moments; the
         start by those of its uniform errors, which the first seconds outweigh."""
         form, noise, start = self.config.disturbance.form, self.config.sensors.noise, np.array(self.start)
-        if form not in ("gaussian", "white", "constant") or noise == "biased" or self.config.plant.loads:
+        if form not in ("gaussian", "white", "constant") or noise == "biased" or self.config.plant.loads or (
+                set(self.config.sensors.use) != {"position", "speed"}):
             return None
         bar = self.config.disturbance.w_bar
         told = {"sigma_w": bar / {"gaussian": 3.0, "white": 3.0**0.5, "constant": 1.0}[form],
@@ -129,8 +159,10 @@ class Metro(Setting[MetroConfig]):
         return Matched(model, "floor" if form == noise == "gaussian" else "linear optimum")
 
     def sensing(self) -> Sensing:
-        along = np.array([1.0, 0.0])
-        return Sensing(("position", "speed"), self.config.sensors.sd, (along, along))
+        sensors = self.config.sensors
+        along = np.array([float(name in ("position", "balise", "gnss")) for name in sensors.measured])
+        return Sensing(sensors.measured, np.concatenate([sensors.sd[sensors.own], sensors.deviations(sensors.fitted)]),
+                       (np.array([1.0, 0.0]), along))
 
     def resolve_knowledge(self, knowledge: Mapping[str, Any]) -> Any:
         """An entry's own w_bar and v_bar are bounds alone: its standard deviations stay those of the scenario, unless
@@ -140,8 +172,13 @@ class Metro(Setting[MetroConfig]):
         return super().resolve_knowledge({**kept, **knowledge})
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
-        """The plant without its disturbance; for bounds the linearisation error of M = [T/2, 1]', N = [0, kappa]."""
+        """The plant without its disturbance; for bounds the linearisation error of M = [T/2, 1]', N = [0, kappa]. With
+        sensors aboard see `hearing`, and `Odometer` where the motion told is not the force's. Raises Unsupported where
+        sensors lack that a motion needs."""
         told: Knowledge = self.resolve_knowledge(knowledge)
+        if told.odometry.motion != "force":
+            return self._odometer(told, initial_mean)
+        sensors = self.config.sensors
         train, line, period = self.config.plant.train, self.config.plant.line, self.config.time.period
         forces, slope, curves = train.forces, line.slope(train.rotating), pieces(train.forces)
         whole = np.full(initial_mean.shape[1], period)
@@ -158,7 +195,8 @@ class Metro(Setting[MetroConfig]):
         def given(interval: Interval, runs: int) -> tuple[Array, Array]:
             return law, seconds(interval, runs)
 
-        driven = Compiled(dynamics.driven, 1, given)
+        inputs = 1 if not sensors.aboard else 1 + len(INPUTS)
+        driven = Compiled(dynamics.driven, inputs, given)
 
         def jumping(x: Array, u: Array, interval: Interval) -> Array:
             """The vehicle has jumped: so have the coordinates of the line under it."""
@@ -188,32 +226,61 @@ class Metro(Setting[MetroConfig]):
             return out
 
         gain = np.array([[0.5 * period**2], [period]])
-        identity, noise = np.eye(2)[:, :, None], np.diag(told.sensor_sd**2)[:, :, None]
-        return DesignModel(
-            states=("position", "speed"), measurements=("position", "speed"), period=period,
-            transition=transition, measurement=lambda x, step: x,
-            transition_jacobian=Compiled(dynamics.driven_jacobian, 1, given, square=True),
-            measurement_jacobian=lambda x, step: identity, linear_measurement=True,
+        own = sensors.own
+        rows, noise = np.eye(2)[own][:, :, None], np.diag(told.sensor_sd[own]**2)[:, :, None]
+        both, v_bar = len(own) == 2, np.array(told.v_bar)
+        model = DesignModel(
+            states=("position", "speed"), measurements=sensors.measured[:len(own)], period=period,
+            transition=transition, measurement=lambda x, step: x if both else x[own],
+            transition_jacobian=Compiled(dynamics.driven_jacobian, inputs, given, square=True),
+            measurement_jacobian=lambda x, step: rows, linear_measurement=True,
             process_covariance=process_covariance, measurement_covariance=told_covariance(lambda step: noise),
             initial_mean=initial_mean, initial_covariance=np.diag(np.square(told.initial_sd))[:, :, None],
-            bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=np.array(told.v_bar),
+            bounds=Bounds(G=gain, w_bar=np.array([told.w_bar]), v_bar=v_bar[own],
                           M=np.array([[0.5 * period], [1.0]]), N=np.array([[0.0, 1.0]]), kappa=kappa),
             reception=self.config.channel.reception(),
-            inclusion=Rectangles(transition, told.w_bar, np.array(told.v_bar)).inclusion(
-                initial_mean, np.array(self.config.plant.start_error)),
             densities=uniform(lambda interval: _entering(interval)[:, None], np.array([told.w_bar]),
-                              np.array(told.v_bar)) if told.densities == "uniform" else None)
+                              v_bar) if told.densities == "uniform" else None)
+        if told.densities == "uniform" and (sensors.fitted or not both):
+            raise Unsupported("densities = \"uniform\" needs the sensors of position and speed, and no other")
+        reads = (*((i, float(v_bar[i])) for i in own), *((0, sensors.bound(name)) for name in sensors.fitted))
+        surely = Rectangles(transition, told.w_bar, reads).inclusion(initial_mean,
+                                                                     np.array(self.config.plant.start_error))
+        return replace(hearing(model, sensors.fitted, sensors, told.odometry.scale_walk), inclusion=surely)
+
+    def _odometer(self, told: Knowledge, initial_mean: Array) -> DesignModel:
+        """The model of `odometry` with this train's sensors. Raises Unsupported where the motion lacks one."""
+        sensors, plant = self.config.sensors, self.config.plant
+        lacking = told.odometry.lacks(sensors.use)
+        if lacking:
+            raise Unsupported(lacking)
+        own = dict(zip(("position", "speed"), told.sensor_sd.tolist(), strict=True))
+        worth = {name: own[name] if name in own else sensors.worth(name) for name in sensors.measured}
+        odometer = Odometer(told.odometry, worth, self.config.time.period, plant.line.slope(plant.train.rotating), 1)
+        tells = () if told.odometry.counting else tuple(
+            name for name in sensors.fitted if name.startswith("wheel-"))
+        return odometer.model(initial_mean, tells, modes=slip_modes(odometer, initial_mean, tells),
+                              reception=self.config.channel.reception())
 
     def extras(self, knowledge: Mapping[str, Any]) -> dict[str, tuple[Extra, ...]]:
         """The acceleration disturbance in place of white noise, and a slowly varying bias of either sensor."""
         told: Knowledge = self.resolve_knowledge(knowledge)
-
+        sensors = self.config.sensors
         biases = {f"{name}-bias": (Extra(f"{name}-bias", unit, "gauss-markov", float(sd), time_constant=20.0,
-                                         column=column),)
-                  for name, unit, sd, column in zip(("position", "speed"), ("m", "m/s"), told.sensor_sd, np.eye(2),
-                                                    strict=True)}
+                                         column=np.array([float(other == name) for other in sensors.measured])),)
+                  for name, unit, sd in zip(("position", "speed"), ("m", "m/s"), told.sensor_sd, strict=True)
+                  if name in sensors.use}
+        states = ("position", "speed")
+        with suppress(Unsupported):  # it is told where the model is made
+            states = self.design_model(knowledge, np.zeros((2, 1))).states
+
+        def gain(interval: Interval) -> Array:
+            moved = _entering(interval)
+            return np.stack([moved[0] if name == "travelled" else moved[i] if i < 2 else 0.0 * moved[0]
+                             for i, name in enumerate(states)])
+
         return {"disturbance": (Extra("disturbance", "m/s^2", "gauss-markov", told.process_sd, time_constant=8.0,
-                                      gain=_entering, instead=1.0),), **biases}
+                                      gain=_entering if len(states) == 2 else gain, instead=1.0),), **biases}
 
 
 def _entering(interval: Interval) -> Array:

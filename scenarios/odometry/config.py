@@ -3,16 +3,15 @@
 # pyright: reportIncompatibleVariableOverride=false
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
 
+from ..aboard.config import Places
 from ..channels import Channel, Ideal
 from ..railway.adhesion import Adhesion, Span, spans
 from ..railway.dynamics import GRAVITY
-from ..railway.line import Line, LineOrFile, TrainOrFile
+from ..railway.line import LineOrFile, TrainOrFile
 from ..schema import TABLES, ScenarioConfig, Strict
 from ..sensors import Accelerometer, Balises, Gnss, Radar, Wheel
 from ..strict import KIND, key
@@ -51,36 +50,6 @@ class Driver(Strict):
         if -self.asked[0] <= self.braking[1]:
             raise ValueError(f"asked[0] = {self.asked[0]:g} must be under -{self.braking[1]:g}, the hardest braking")
         return self
-
-
-class Places(Strict):
-    """Where balises lie: in places given, or evenly with one before each stop."""
-
-    positions: Annotated[list[float], key("places, in order", "m")] = []
-    platforms: Annotated[list[float], key("those of them that are surveyed as platform balises", "m")] = []
-    every: Annotated[PositiveFloat | None, key("one every so many metres, in place of positions", "m")] = None
-    platform: Annotated[PositiveFloat, key("one so far before each stop", "m")] = 15.0
-    begin: Annotated[PositiveFloat, key("the first one", "m")] = 10.0
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Places:
-        if bool(self.positions) == (self.every is not None):
-            raise ValueError("either positions = [..] or every = .. (m) says where balises lie")
-        if any(b - a < 2.0 for a, b in pairwise(self.positions)):
-            raise ValueError("positions must lie in order, at least 2 m apart")
-        strays = [p for p in self.platforms if p not in self.positions]
-        if strays:
-            raise ValueError(f"platforms: {strays[0]:g} m is none of the positions")
-        return self
-
-    def on(self, line: Line) -> tuple[list[float], list[float]]:
-        """(all places, those at platforms) on a line."""
-        if self.every is None:
-            return self.positions, self.platforms
-        platforms = [stop - self.platform for stop in line.stops[1:]]
-        grid = np.arange(line.stops[0] + self.begin, line.stops[-1], self.every)
-        free = [float(p) for p in grid if min(abs(p - q) for q in platforms) > 30.0]
-        return sorted([*free, *platforms]), platforms
 
 
 class Elsewhere(Strict):

@@ -30,15 +30,16 @@ class Adhesion(Strict):
 
     curve: Annotated[Literal["first-order", "polach"], key(
         "how the transmitted force follows from slip")] = "first-order"
-    open: Annotated[Friction, key("friction in the open air", "1")]
-    tunnel: Annotated[Friction, key("friction in tunnels", "1")]
+    open: Annotated[Friction, key("friction in the open air", "1")] = 0.3
+    tunnel: Annotated[Friction, key("friction in tunnels", "1")] = 0.3
     low: Annotated[list[Span] | Literal["stops"], key(
         "stretches of low friction: [[from, to], ..], or stops: before and after the line's stops in turn", "m")] = []
     cell: Annotated[PositiveFloat, key(
         "there friction and strength are drawn anew per run for each stretch of this length", "m")] = 40.0
-    friction: Annotated[Range, key("least and greatest friction there", "1")]
+    friction: Annotated[Range, key("least and greatest friction there", "1")] = [0.03, 0.09]
     strength: Annotated[Range, key(
-        "least and greatest strength of a slide there: slip speed as a share of the speed, per axle", "1")]
+        "least and greatest strength of a slide there: slip speed as a share of the speed, per axle", "1")] = [
+            0.08, 0.3]
     cleaned: Annotated[PositiveFloat, key("the second car's friction over the first's", "1")] = 1.2
     release: Annotated[Friction, key(
         "an axle slides until the force asked falls to this share of what the rail bears", "1")] = 0.9

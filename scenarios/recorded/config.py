@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
 
+from ..aboard import FITTED, Fitted, Instruments, Places, Route
 from ..arrays import Array
 from ..channels import Channel, Ideal
 from ..faults import Faults
@@ -16,16 +17,17 @@ from ..railway.line import LineOrFile, TrainOrFile
 from ..schema import TABLES, ScenarioConfig, Strict
 from ..strict import KIND, key
 from .columns import ROLES
-from .recording import MEASURED, Meaning, Recording, read_recording
+from .recording import MEASURED, Meaning, Recording, read_recording, table_at
 from .times import Duplicates, Order
 from .told import Knowledge, WheelKnowledge
+from .wheels import WHEELS, balises_in
 
 Name = Literal["position", "speed", "odometer", "wheel-a", "wheel-b", "balise"]
 Read = Literal["position", "speed", "odometer"]
 Span = Annotated[list[NonNegativeFloat], Field(min_length=2, max_length=2)]
 
 
-class Plant(Strict):
+class Plant(Route):
     """One recorded trip or several, and what their columns mean."""
 
     kind: Annotated[Literal["recorded"], KIND]
@@ -52,6 +54,8 @@ class Plant(Strict):
     span: Annotated[Span | None, key("[from, to] after the first row: rows taken", "s")] = None
     without: Annotated[list[Span], key("[[from, to], ..] after the first row: rows left out", "s")] = []
     balises: Annotated[str | dict[str, float], key("places by name, or a file of two columns", "m")] = {}
+    every: Annotated[PositiveFloat, key(
+        "a balise that is simulated each so many metres, where balises names none", "m")] = 700.0
     line: Annotated[LineOrFile | None, key(
         "line of the train that `control` drives, and its gradient: a table, or a TTOBench file")] = None
     train: Annotated[TrainOrFile | None, key("train that `control` drives: a table, or a TTOBench file")] = None
@@ -78,6 +82,14 @@ class Plant(Strict):
     def recorded(self) -> tuple[Recording, ...]:
         """The trips. Raises ValueError where one cannot be read."""
         return tuple(read_recording(path, self.meaning) for path in self.paths)
+
+    def laid(self, trip: Recording) -> tuple[list[float], list[float]]:
+        """Where simulated balises lie on a trip, m, and which of them at platforms."""
+        begin, end = float(trip.position.min()), float(trip.position.max())
+        if not self.balises:
+            return Places(every=self.every).along([begin, end])
+        named = balises_in(table_at(self.balises)) if isinstance(self.balises, str) else self.balises
+        return sorted(place for place in named.values() if begin <= place <= end), []
 
     @property
     def paths(self) -> list[str]:
@@ -121,8 +133,12 @@ class Outage(Strict):
         return time[time <= time[-1] - self.duration + 1e-9]
 
 
-class Sensors(Strict):
-    """What of a recording estimators hear."""
+class Sensors(Instruments):
+    """What of a recording estimators hear, and what is simulated on its reference."""
+
+    simulated: Annotated[list[Fitted], key(
+        "sensors that the recording lacks, simulated on its reference: wheel-a, wheel-b, balise, gnss, radar, "
+        "accelerometer")] = []
 
     use: Annotated[list[Name], Field(min_length=1), key("sensors that estimators get, those that the recording has")]
     noise: Annotated[dict[Read, NonNegativeFloat], key(
@@ -151,14 +167,20 @@ class RecordedConfig(ScenarioConfig):
         for name in self.sensors.use:
             self.knowledge.worth(name)
         for trip in self.plant.recorded():
-            found = self.heard(trip)
+            found = (*self.heard(trip), *self.added)
+            twice = sorted({"acceleration" if name == "accelerometer" else name for name in self.sensors.simulated}
+                           & set(trip.measured))
+            wheels = {*WHEELS} & set(trip.measured)
+            if twice or (wheels and {*WHEELS} & {*self.added}):
+                raise ValueError(f"sensors.simulated has {', '.join(twice or self.added)}, but {trip.path} has "
+                                 f"{', '.join(twice or sorted(wheels))} of its own: leave one of them out")
             if not found:
                 raise ValueError(f"sensors.use has {', '.join(self.sensors.use)}, but plant.map has "
                                  f"{', '.join(trip.measured) or 'no sensor'}: map one of them, or run another variant")
             self.channel.check(len(found))
-            if outage.place != "none" and not set(outage.sensors) & set(found):
+            if outage.place != "none" and not set(outage.sensors) & set(self.heard(trip)):
                 raise ValueError(f"sensors.outage.sensors has {', '.join(outage.sensors)}, but what is heard is "
-                                 f"{', '.join(found)}")
+                                 f"{', '.join(self.heard(trip)) or 'nothing that is recorded'}")
             if len(trip.time) - 1 > self.time.steps:
                 raise ValueError(f"time.steps: {trip.path} has {len(trip.time)} rows, more than {self.time.steps} "
                                  "steps: take a part (--from, --to, or plant.span) or more steps (--set time.steps="
@@ -176,6 +198,11 @@ class RecordedConfig(ScenarioConfig):
     def heard(self, trip: Recording) -> tuple[str, ...]:
         """The sensors that are used and recorded, in the order of the measurements."""
         return tuple(name for name in MEASURED if name in self.sensors.use and name in trip.measured)
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """The simulated measurements, in their order behind those recorded."""
+        return tuple(name for name in FITTED if name in self.sensors.simulated)
 
     def judged(self, trip: Recording, quantity: str) -> bool:
         """Whether estimates of the position or the speed are scored anywhere: by a reference of its own, or by readings

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from ..aboard import Aboard, sense
+from ..aboard.sensing import Trip
 from ..arrays import Array, Index, Mask
 from ..channels import Sent
 from ..observation import faulted
@@ -57,12 +59,13 @@ def together(parts: Mapping[int, Trajectory], which: Index) -> Several:
     for trip, part in parts.items():
         each[:part.steps, which == trip] = part.lengths[:, None]
         start[:, which == trip] = part.initial_mean
-    told, late, faulty, reference = (None if getattr(longest, name) is None else joined(name, fill) for name, fill in (
-        ("covariance", np.nan), ("late", 0), ("faulty", False), ("reference", np.nan)))
+    told, late, faulty, reference, variance = (
+        None if getattr(longest, name) is None else joined(name, fill) for name, fill in (
+            ("covariance", np.nan), ("late", 0), ("faulty", False), ("reference", np.nan), ("variance", np.nan)))
     return Several(
         truth=joined("truth", np.nan), u=joined("u", 0.0), y=joined("y", 0.0), received=joined("received", False),
         active=joined("active", False), lengths=longest.lengths, initial_mean=start, covariance=told,
-        late=late, faulty=faulty, reference=reference,
+        late=late, faulty=faulty, reference=reference, variance=variance,
         extra={name: np.zeros((K, runs)) for name in longest.extra} | {"outage": _outages(parts, which, K)},
         windows=longest.windows, window=joined("window", -1), each=each)
 
@@ -86,7 +89,8 @@ def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_ste
                 for name, values in trip.measured.items()}
     out = _outage(config.sensors.outage, trip.time[1:], streams, trips)
     start = np.zeros((5, runs))
-    start[0], start[1] = begin(trip, readings)
+    start[0], start[1] = begin(trip, readings, runs)
+    aboard = _aboard(trip, config, streams)
     rolled = {name: counted(trip.time, trip.measured[name]) for name in WHEELS if name in trip.measured}
     for name, (distance, ends, _) in rolled.items():  # a count before is needed too
         readings[name] = np.concatenate([[np.nan], np.where(ends, distance, np.nan)])[:, None].repeat(runs, axis=1)
@@ -95,10 +99,13 @@ def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_ste
     for name in set(config.sensors.outage.sensors) & set(kept):
         kept[name] &= ~out
     truth = np.repeat(np.stack([trip.position[1:], trip.speed[1:]], axis=1)[:, :, None], runs, axis=2)
-    sensed = faulted(
-        np.stack([np.nan_to_num(readings[name][1:]) for name in sensors], axis=1),
-        np.stack([kept[name] for name in sensors], axis=1), np.cumsum(lengths), streams, sensing,
-        config.faults, truth=truth)
+    shape = steps, 1, runs
+    parts = [np.nan_to_num(readings[name][1:]).reshape(shape) for name in sensors]
+    there = [np.broadcast_to(kept[name], (steps, runs)).reshape(shape) for name in sensors]
+    if aboard:
+        parts, there = [*parts, aboard.y], [*there, aboard.there]
+    sensed = faulted(np.concatenate(parts, axis=1), np.concatenate(there, axis=1), np.cumsum(lengths), streams, sensing,
+                     config.faults, truth=truth)
     arrived = config.channel.carry(streams, Sent(sensed.y, sensed.there, sensing.sd))
     clean = dict(kept)
     for i, name in enumerate(sensors):
@@ -111,7 +118,8 @@ def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_ste
         readings[name] = np.concatenate([readings[name][:1], np.where(kept[name], arrived.y[:, i], np.nan)])
     y, received = arrived.y.copy(), arrived.received
     late = np.zeros_like(received) if arrived.late is None else arrived.late > 0
-    truth = np.where(_scored(trip, config, sensors, clean), truth if sensed.truth is None else sensed.truth, np.nan)
+    scored = _scored(trip, config, sensors, clean, runs)
+    truth = np.where(scored, truth if sensed.truth is None else sensed.truth, np.nan)
     if "odometer" in sensors:
         count = trip.measured["odometer"]
         begun = int(np.isfinite(count).argmax())
@@ -121,19 +129,44 @@ def ride(trip: Recording, config: RecordedConfig, streams: Streams, odometer_ste
     window = np.where(out, 0, -1)
     window[ends] = 1
     named = config.sensors.outage.place != "none"
-    u = _told(trip, {name: values for name, values in readings.items() if name not in rolled}, kept, lengths)
+    u = _told(trip, {name: values for name, values in readings.items() if name not in rolled}, kept, lengths, runs)
+    if "accelerometer" in config.sensors.simulated and aboard:
+        u[:, INPUTS.index("acceleration")] = aboard.inputs[:, 0]
+    if aboard and not rolled:
+        u = np.concatenate([u, aboard.inputs], axis=1)
     if rolled:
         there = np.isfinite(trip.measured[next(iter(rolled))])
         counts = [np.cumsum(np.nan_to_num(readings[name]), axis=0) for name in rolled]
         heard = [np.concatenate([np.repeat(there[:1, None], runs, axis=1), kept[name]]) for name in rolled]
         u = np.concatenate([u, told(trip.time, counts, heard, there, u[:, 3], trip.control)], axis=1)
+    said = _said(trip, sensors, config, rolled, 1 if shared else runs)
+    passed = _passed(trip, kept["balise"]) if "balise" in sensors else None
+    if aboard and "balise" in aboard.names:
+        passed = aboard.references(received[:, len(sensors) + aboard.names.index("balise")])
     return Trajectory(
         truth=truth, u=u, y=np.where(received | late, y, 0.0), received=received,
         late=arrived.late, faulty=sensed.faulty if config.faults else None, active=np.ones((steps, runs), dtype=bool),
         lengths=lengths, initial_mean=start, extra={"outage": out.astype(float)},
         windows=("outage", "outage-end") if named else (), window=window.astype(np.int16),
-        covariance=_said(trip, sensors, config, rolled, 1 if shared else runs),
-        reference=_passed(trip, kept["balise"]) if "balise" in sensors else None)
+        covariance=None if aboard else said, reference=passed,
+        variance=_variances(said, aboard, len(sensors)) if aboard else None)
+
+
+def _aboard(trip: Recording, config: RecordedConfig, streams: Streams) -> Aboard | None:
+    """The simulated sensors on the trip's reference; None where there are none."""
+    if not config.sensors.simulated:
+        return None
+    position, speed = (np.repeat(values[:, None], len(streams.runs), axis=1) for values in (trip.position, trip.speed))
+    ridden = Trip(position, speed, np.diff(trip.time), config.plant.line, config.plant.train)
+    return sense(ridden, config.sensors.simulated, config.sensors, config.plant, config.plant.laid(trip),
+                 streams).carried(position)
+
+
+def _variances(said: Array | None, aboard: Aboard, count: int) -> Array:
+    """What the `count` recorded sensors and those aboard tell of each element, (K, ny, S)."""
+    steps, _, runs = aboard.variance.shape
+    own = np.full((steps, count, 1), np.nan) if said is None else np.einsum("kiis->kis", said)
+    return np.concatenate([np.broadcast_to(own, (steps, count, runs)), aboard.variance], axis=1)
 
 
 def _passed(trip: Recording, heard: Mask) -> Array:
@@ -143,10 +176,9 @@ def _passed(trip: Recording, heard: Mask) -> Array:
     return np.where(last >= 0, places[:, last], np.nan).swapaxes(0, 1)
 
 
-def begin(trip: Recording, readings: Mapping[str, Array]) -> tuple[Array, Array]:
+def begin(trip: Recording, readings: Mapping[str, Array], runs: int) -> tuple[Array, Array]:
     """Position and speed (S,) at the start, from the readings (N, S): the first position (the reference's where none is
     recorded), the first speed, or the pace of the odometer or of the first two positions."""
-    runs = next(iter(readings.values())).shape[1]
     place = readings[trip.own][0] if trip.own in readings else np.full(runs, np.nan)
     place = np.where(np.isfinite(place), place, trip.position[0])
     for name in ("speed", "odometer", "wheel-a", "position"):
@@ -156,13 +188,13 @@ def begin(trip: Recording, readings: Mapping[str, Array]) -> tuple[Array, Array]
         if len(there) == 2 and name in readings:
             a, b = there
             return place, (readings[name][b] - readings[name][a]) / (trip.time[b] - trip.time[a])
-    return place, np.zeros(runs)
+    return place, np.zeros(runs) if trip.measured else np.full(runs, trip.speed[0])
 
 
-def _scored(trip: Recording, config: RecordedConfig, sensors: tuple[str, ...], kept: Mapping[str, Mask]) -> Mask:
+def _scored(trip: Recording, config: RecordedConfig, sensors: tuple[str, ...], kept: Mapping[str, Mask],
+            runs: int) -> Mask:
     """Where an estimate may be scored by the reference of position and speed (K, 2, S). kept: readings that are heard
     as they were."""
-    runs = next(iter(kept.values())).shape[1]
     noise: Mapping[str, float] = config.sensors.noise  # pyright: ignore[reportAssignmentType]
     given = {name: kept[name] if noise.get(name, 0.0) == 0.0 else np.zeros_like(kept[name])
              for name in (trip.own, "speed") if name in kept and (name in sensors or name == "speed")}
@@ -174,7 +206,8 @@ def _scored(trip: Recording, config: RecordedConfig, sensors: tuple[str, ...], k
     return np.stack([scored["position"], scored["speed"]], axis=1)
 
 
-def _told(trip: Recording, readings: Mapping[str, Array], kept: Mapping[str, Mask], lengths: Array) -> Array:
+def _told(trip: Recording, readings: Mapping[str, Array], kept: Mapping[str, Mask], lengths: Array, runs: int
+          ) -> Array:
     """The input (K, 4, S) of each interval: distance and speed by the odometer and the speed sensor, as far as they are
     heard, each from the other where there is only one; the control; the acceleration.
 
@@ -182,7 +215,7 @@ def _told(trip: Recording, readings: Mapping[str, Array], kept: Mapping[str, Mas
     one shows to be missing is added with it."""
     heard = {name: np.concatenate([values[:1], np.where(kept[name], values[1:], np.nan)])
              for name, values in readings.items() if name not in ("position", "balise")}
-    steps, runs = next(iter(kept.values())).shape
+    steps = len(lengths)
     length = lengths[:, None]
     distance, speed = np.zeros((steps, runs)), np.zeros((steps, runs))
     if "speed" in heard:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..aboard import hearing
 from ..arrays import Array, Index
 from ..errors import InputError, Unsupported
 from ..model import DesignModel
@@ -26,6 +27,9 @@ from .recording import Recording
 from .ride import INPUTS, ride, together
 from .told import Drive, Kinematics, Knowledge, WheelKnowledge
 from .wheels import WHEELS
+
+SCALE_WALK = 0.0005
+"""Random walk of the scales of simulated wheels and radar, per sqrt(s), for models that are told none."""
 
 
 class Recorded(Setting[RecordedConfig]):
@@ -49,8 +53,8 @@ class Recorded(Setting[RecordedConfig]):
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """The sensors that are used and recorded, in the order of the measurements."""
-        return self.config.heard(self.trips[0])
+        """The measurements in their order: the sensors that are used and recorded, and the simulated ones."""
+        return *self.config.heard(self.trips[0]), *self.config.added
 
     @property
     def notes(self) -> list[str]:
@@ -67,6 +71,9 @@ class Recorded(Setting[RecordedConfig]):
             notes.append("Filters of a linear form (kalman, robust-mean-square) take one trip, whose times their "
                          "matrices are; ekf with knowledge = { shortfall = \"told\" } is the same Kalman filter.")
         trip = self.trips[0]
+        if self.config.sensors.simulated:
+            notes.append(f"Simulated on the recording's reference: {', '.join(self.config.sensors.simulated)}; a "
+                         "balise is told at the end of its row, the way since added.")
         notes.append(f"Reference of this recording: {trip.reference}.")
         if not all(trip.apart.values()):
             notes.append("Where the reference is a reading, errors are of what was withheld from the estimators alone: "
@@ -140,9 +147,14 @@ class Recorded(Setting[RecordedConfig]):
 
     def sensing(self) -> Sensing:
         told: Knowledge | WheelKnowledge = self.resolve_knowledge({})
-        along = np.array([float(name in ("position", "odometer", "balise")) for name in self.sensors])
-        return Sensing(self.sensors, np.array([told.worth(name) for name in self.sensors]),
+        along = np.array([float(name in ("position", "odometer", "balise", "gnss")) for name in self.sensors])
+        return Sensing(self.sensors, np.array([*self._worth(told).values()]),
                        (np.array([1.0, 0.0]), along))
+
+    def _worth(self, told: Knowledge | WheelKnowledge) -> dict[str, float]:
+        """Each measurement's standard deviation."""
+        fitted, sensors = self.config.added, self.config.sensors
+        return {name: sensors.worth(name) if name in fitted else told.worth(name) for name in self.sensors}
 
     def design_model(self, knowledge: Mapping[str, Any], initial_mean: Array) -> DesignModel:
         """See `Kinematics`, or `Odometer` where the knowledge is that of wheels. Raises Unsupported where the recording
@@ -153,7 +165,7 @@ class Recorded(Setting[RecordedConfig]):
             return self._odometer(told, initial_mean)
         if told.motion == "odometer" and not {"odometer", "speed"} & set(trip.measured):
             raise Unsupported("dead reckoning needs an odometer or a speed in plant.map")
-        if told.motion == "accelerometer" and "acceleration" not in trip.measured:
+        if told.motion == "accelerometer" and not self._accelerometer:
             raise Unsupported("motion = \"accelerometer\" needs an acceleration in plant.map")
         if told.motion == "train" and (plant.line is None or plant.train is None or trip.control is None):
             raise Unsupported("motion = \"train\" needs the control in plant.map (control=u_share), and the line and "
@@ -161,22 +173,27 @@ class Recorded(Setting[RecordedConfig]):
         drive = (Drive(plant.train.forces, plant.line.slope(plant.train.rotating)) if plant.train and plant.line
                  else None)
         kinematics = Kinematics(told, "odometer" in self.sensors, self.config.time.period, drive)
-        return kinematics.model(self.sensors, initial_mean, self.trips)
+        model = kinematics.model(self.config.heard(trip), initial_mean, self.trips)
+        return hearing(model, self.config.added, self.config.sensors, SCALE_WALK)
+
+    @property
+    def _accelerometer(self) -> bool:
+        """Whether there is one, recorded or simulated."""
+        return "acceleration" in self.trips[0].measured or "accelerometer" in self.config.sensors.simulated
 
     def _odometer(self, told: WheelKnowledge, initial_mean: Array) -> DesignModel:
         """The model of `odometry` with this recording's sensors, flat where no line is given."""
         plant, trip = self.config.plant, self.trips[0]
-        wheels = {name for name in WHEELS if name in trip.measured}
+        wheels = {name for name in WHEELS if name in trip.measured or name in self.config.added}
         need = {"wheels": wheels, "minmax": {"wheel-a", "wheel-b"}}.get(told.motion, {told.motion})
         lacking = sorted((need or {"wheel-a"}) - wheels)
         if lacking:
             raise Unsupported(f"motion = \"{told.motion}\" needs {' and '.join(lacking)} in plant.map")
-        if told.motion == "wheels" and "acceleration" not in trip.measured:
+        if told.motion == "wheels" and not self._accelerometer:
             raise Unsupported("motion = \"wheels\" needs an acceleration in plant.map")
         slope = (plant.line.slope(plant.train.rotating if plant.train else 0.0) if plant.line
                  else slope_grid(np.zeros(1), np.zeros(1), 0.0))
-        odometer = Odometer(told, {name: told.worth(name) for name in self.sensors}, self.config.time.period, slope,
-                            len(INPUTS))
+        odometer = Odometer(told, self._worth(told), self.config.time.period, slope, len(INPUTS))
         tells = () if told.counting else tuple(
             name for name in self.sensors if name in (*WHEELS, "balise") or any(name in one.told for one in self.trips))
         return odometer.model(initial_mean[:2], tells, modes=slip_modes(odometer, initial_mean[:2], tells))

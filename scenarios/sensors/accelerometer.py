@@ -23,9 +23,9 @@ class Accelerometer(Strict):
         "standard deviation per reading over 0.1 s (white: over longer steps the mean is better)", "m/s^2")]
     drift: Annotated[NonNegativeFloat, key("of the bias' random walk", "m/s^2 per sqrt(s)")] = 0.0
 
-    def read(self, acceleration: Array, climb: Array, period: float, random: RunRandom) -> tuple[Array, Array]:
+    def read(self, acceleration: Array, climb: Array, period: float | Array, random: RunRandom) -> tuple[Array, Array]:
         """Readings (K, S) m/s^2, the mean acceleration of each step and the gradient's pull with errors, and the bias
-        (K, S)."""
+        (K, S). period: of the steps, s, a number or (K, 1)."""
         bias = np.repeat(self.bias * random.normal()[None], len(acceleration), axis=0)
         noise = self.noise * np.sqrt(REFERENCE / period) * random.normal(len(acceleration))
         if self.drift:

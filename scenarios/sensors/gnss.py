@@ -28,11 +28,12 @@ class Gnss(Strict):
     lasts: Annotated[Pair, key("least and greatest length of a jump", "s")]
     outage: Annotated[Pair, key("no fix from so far before a tunnel to so far behind", "m")]
 
-    def read(self, position: Array, tunnels: list[list[float]], period: float,
-             random: RunRandom) -> tuple[Array, Mask]:
-        """Readings (K, S) m and which there are: at the first step's end at or after each fix."""
+    def read(self, position: Array, tunnels: list[list[float]], period: float, random: RunRandom,
+             times: Array | None = None) -> tuple[Array, Mask]:
+        """Readings (K, S) m and which there are: at the first step's end at or after each fix. times (K,) s of the
+        steps' ends where they are not multiples of the period, which then is the usual one."""
         steps = len(position)
-        at = fixes(self.every, period, steps)
+        at = fixes(self.every, period, steps) if times is None else ends(self.every, times)
         n = len(at)
         keep = float(np.exp(-max(self.every, period) / self.memory))
         shock = random.normal(n)
@@ -63,3 +64,7 @@ def fixes(every: float, period: float, steps: int) -> np.ndarray:
     return np.unique(at[at < steps])
 
 
+def ends(every: float, times: Array) -> np.ndarray:
+    """The same of steps that end at times (K,) s, counted from 0."""
+    at = np.searchsorted(times, np.arange(1, int(times[-1] / every + 1e-9) + 1) * every - 1e-9)
+    return np.unique(at)

@@ -13,6 +13,8 @@ from ..schema import Strict
 from ..strict import key
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+SMOOTHED = 0.5
+"""The wheels' speeds that dead reckoning is told are means over this, s."""
 
 
 class Wheel(Strict):
@@ -47,6 +49,12 @@ class Wheel(Strict):
     def travelled(self, counts: Array) -> Array:
         """Distance (K, n, S) m by the nominal diameter in each step."""
         return self.pulse * np.diff(counts, axis=0, prepend=0.0)
+
+    def speed(self, counts: Array, period: float) -> Array:
+        """Speed (K, n, S) by the nominal diameter, m/s: the mean over `SMOOTHED` s, at least a step."""
+        span = max(1, round(SMOOTHED / period))
+        smooth = np.concatenate([np.zeros((span, *counts.shape[1:])), counts])
+        return self.pulse / (span * period) * (smooth[span:] - smooth[:-span])
 
     def variance(self, distance: Array, standing: Mask, period: float) -> Array:
         """What the sensor tells of the distances (K, n, S) m of its steps, m^2: see `rolled`; after a stand (standing

@@ -50,7 +50,7 @@ def page_acceleration(s, v, u):
 def test_the_first_variant_is_switching_and_all_eight_are_there():
     scenario, variants = find("ningbo-metro")
     assert {name for name in scenario.requested if not name.startswith("fault-")} == {
-        "late", "late-random", "whole-line"}
+        "late", "late-random", "whole-line", "aboard"}
     assert variants == (
         "switching", "white", "sinusoid", "constant", "physical", "physical-bias", "switching-bias", "gaussian")
 

@@ -1,6 +1,6 @@
 """The design model of a train's own odometry, for settings that simulate it and for recorded trips alike."""
 
-from .model import INPUTS, Odometer, OdometerKnowledge
+from .model import INPUTS, Initial, Odometer, OdometerKnowledge, Slip
 from .modes import slip_modes
 
-__all__ = ["INPUTS", "Odometer", "OdometerKnowledge", "slip_modes"]
+__all__ = ["INPUTS", "Initial", "Odometer", "OdometerKnowledge", "Slip", "slip_modes"]
