@@ -3,8 +3,8 @@
 The truth is the setting's own; wheels slip on it by the adhesion that its motion needs, balises are read inside
 steps."""
 
-from .config import FITTED, Fitted, Instruments, Places, Route
+from .config import FITTED, Filled, Fitted, Instruments, Places, Route
 from .sensing import Aboard, sense
 from .told import hearing
 
-__all__ = ["FITTED", "Aboard", "Fitted", "Instruments", "Places", "Route", "hearing", "sense"]
+__all__ = ["FITTED", "Aboard", "Filled", "Fitted", "Instruments", "Places", "Route", "hearing", "sense"]

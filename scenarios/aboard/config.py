@@ -5,7 +5,7 @@ A setting's `Plant` is a `Route`, its `Sensors` are `Instruments`."""
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat, model_validator
@@ -56,6 +56,19 @@ class Places(Strict):
         return sorted([*free, *platforms]), platforms
 
 
+class Filled(Strict):
+    """A table whose tables have usual numbers: a file that gives some of them keeps the others."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _over_the_usual(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        usual = {name: field.default for name, field in cls.model_fields.items() if isinstance(field.default, Strict)}
+        return {name: {**usual[name].model_dump(), **value} if name in usual and isinstance(value, dict) else value
+                for name, value in table.items()}
+
+
 class Route(Strict):
     """What sensors aboard meet on the way, beside the line."""
 
@@ -69,7 +82,7 @@ class Route(Strict):
         return self
 
 
-class Instruments(Strict):
+class Instruments(Filled):
     """Sensors aboard; those that a scenario names are fitted."""
 
     gradient: Annotated[NonNegativeFloat, key("standard deviation of the map's gradient per section", "m/m")] = 0.0005

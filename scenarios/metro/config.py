@@ -9,14 +9,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from ..aboard import Places, Route
+from ..aboard import Filled, Places, Route
 from ..arrays import Array
 from ..channels import Channel, Ideal
 from ..faults import Faults
 from ..railway.line import LineOrFile, Train, TrainOrFile
 from ..railway.odometer import Initial, OdometerKnowledge, Slip
 from ..railway.trip import Controller, check_trip
-from ..schema import TABLES, ScenarioConfig, Strict
+from ..schema import TABLES, ScenarioConfig
 from ..strict import KIND, key
 from .disturbance import Disturbance, Sensors
 
@@ -56,7 +56,7 @@ class Plant(Route):
         return self.train.mass / np.array(self.loads) if self.loads else own
 
 
-class Odometry(OdometerKnowledge):
+class Odometry(OdometerKnowledge, Filled):
     """What models of sensors aboard are told; usual numbers are those of `odometry`."""
 
     motion: Annotated[Literal["force", "accelerometer", "wheel-a", "wheel-b", "minmax"], key(  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -77,7 +77,7 @@ class Odometry(OdometerKnowledge):
                                             f"{' and '.join(sorted(need))} in sensors.use")
 
 
-class Knowledge(Strict):
+class Knowledge(Filled):
     """What estimators are told. Bounds of an estimator's own leave it the standard deviations of the scenario."""
 
     w_bar: Annotated[PositiveFloat, key("bound of the disturbance", "m/s^2")]

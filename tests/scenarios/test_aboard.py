@@ -103,6 +103,15 @@ def test_fitting_a_sensor_leaves_the_others_as_they_are() -> None:
     np.testing.assert_array_equal(one.y[..., 0], full.y[..., 1])
 
 
+def test_what_is_given_of_a_sensor_leaves_the_usual_rest() -> None:
+    setting = metro(("balise", "radar"), **{"sensors.radar.noise": 0.3, "knowledge.odometry.initial.bias": 0.1})
+    radar, told = setting.config.sensors.radar, setting.config.knowledge.odometry
+    assert (radar.scale, radar.noise, radar.least) == (0.005, 0.3, 2.0) and setting.config.sensors.gnss.told == 2.24
+    assert (told.initial.position, told.initial.bias, told.slip.sd) == (2.0, 0.1, 10.0)
+    entry = setting.resolve_knowledge({"odometry": {"initial": {"scale": 0.1}}})
+    assert (entry.odometry.initial.bias, entry.odometry.initial.scale) in {(0.1, 0.1), (0.05, 0.1)}
+
+
 def test_a_balise_is_an_event_inside_its_step() -> None:
     world = worlds(("speed", "balise"), 4)
     seen = 0
