@@ -203,9 +203,9 @@ class _Block:
 
     def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
         units = {item.name: item.unit for item in self.setting.quantities()}
-        scored = driven.scored
-        columns = {**identity(self.task, self.label, runs), "status": [Status(s).name for s in scored.status],
-                   "reason": [clean(text) for text in scored.reasons],
+        scored, names = driven.scored, {int(status): status.name for status in Status}
+        columns = {**identity(self.task, self.label, runs), "status": [names[s] for s in scored.status.tolist()],
+                   "reason": [clean(text) if text else "" for text in scored.reasons],
                    "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
                    "steps": pa.array(driven.steps.astype(np.int32)),
                    "nees_states": pa.array([scored.nees_states] * len(runs), pa.int32())}
