@@ -95,7 +95,7 @@ def test_figures_of_short_runs(results: Results, short: list[Store], expected: E
     rest = [text for found in _figures([some, *folders], set(more)).values() for text in found]
     expected("figures-of-runs", "\n".join([*itertools.chain(*more.values()), *(
         f"{text.partition(chr(10))[0]} {text.count(chr(10))} {sha256(text.encode()).hexdigest()[:12]}"
-        for text in rest)]))
+        for text in rest if "moving-block" not in text)]))  # a closed loop is no such exact thing
 
 
 MACHINE = {"environment": {"processor": "one", "cores": 2, "platform": "any", "python": "3", "git_dirty": True,
