@@ -81,6 +81,8 @@ def ratio(value: float, fine: bool = False) -> str:
     called worse, so that 1.002 is not 1."""
     if not np.isfinite(value):
         return number(value)
+    if value >= 1e6:  # of two runs: nobody reads so many digits
+        return "over 10⁶"
     return f"{value:.{3 if fine and 0 < abs(value - 1) < 0.01 else 2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
 
 
