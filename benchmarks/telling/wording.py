@@ -144,6 +144,8 @@ def _bare(relative: float) -> str:
     value = 100 * relative
     if not np.isfinite(value):
         return "∞" if value > 0 else "–"
+    if value >= 1e8:
+        return "over 10⁸"
     places = 0 if abs(value) >= 9.95 else 1
     while value and places < 4 and not float(f"{value:.{places}f}"):
         places += 1
