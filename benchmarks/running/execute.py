@@ -203,7 +203,8 @@ class _Block:
 
     def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
         units = {item.name: item.unit for item in self.setting.quantities()}
-        scored, names = driven.scored, {int(status): status.name for status in Status}
+        scored = driven.scored
+        names = {status: Status(status).name for status in set(scored.status.tolist())}
         columns = {**identity(self.task, self.label, runs), "status": [names[s] for s in scored.status.tolist()],
                    "reason": [clean(text) if text else "" for text in scored.reasons],
                    "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
