@@ -14,7 +14,7 @@ from ..scenarios.measurement import Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Innovation, Status, flag
-from .kernels.core import congruence, extended_predict
+from .kernels.core import congruence, extended_predict, predict
 from .kernels.kalman import kalman_update, shared_kalman_update
 
 SINGULAR_INNOVATION = "an innovation covariance was not positive definite"
@@ -61,9 +61,13 @@ class ExtendedKalman(Estimator):
         f, F = model.transition, model.transition_jacobian
         assert F is not None
         jacobian = np.ascontiguousarray(F(x, u, interval))
-        self._mean = np.ascontiguousarray(f(x, u, interval))
         if jacobian.shape[2] > 1 or q.shape[2] > 1:
             self._expand()
+        if isinstance(f, Compiled):
+            address, u, seconds, data = f.arguments(u, interval)
+            predict(address, u, seconds, data, jacobian, q, x, self._covariance)
+            return
+        self._mean = np.ascontiguousarray(f(x, u, interval))
         congruence(jacobian, self._covariance, q, self._covariance)
 
     def update(self, measurement: Measurement) -> Innovation | None:

@@ -279,10 +279,12 @@ def grid_of(model: DesignModel, who: str) -> Grid:
 def product(matrix: Array, x: Array) -> Array:
     """matrix (m, n) times x (n, .., S) as sums over the small index: bit-identical for any number of runs (no BLAS)."""
     out = np.zeros((matrix.shape[0], *x.shape[1:]))
-    columns = math.prod(x.shape[1:])
+    points, sums = x, out
+    if x.ndim != 2:
+        columns = math.prod(x.shape[1:])
+        points, sums = x.reshape(len(x), columns), out.reshape(len(out), columns)
     _accumulate(read_only(np.ascontiguousarray(matrix, dtype=float)),
-                read_only(np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], columns)),
-                out.reshape(out.shape[0], columns))
+                read_only(np.ascontiguousarray(points, dtype=float)), sums)
     return out
 
 

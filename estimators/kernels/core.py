@@ -230,6 +230,16 @@ def congruence(f, p, q, out):
 
 
 @kernel
+def predict(transition, u, seconds, data, f, q, mean, covariance):
+    """mean (n, S) := f(mean, u) by a compiled transition (`compiled.SIGNATURE`), covariance := f covariance f' + q in
+    place, see `congruence`."""
+    runs, moved = mean.shape[1], np.empty_like(mean)
+    call(transition, mean, u, seconds, data, 1, runs, runs, moved)
+    mean[:, :] = moved
+    congruence(f, covariance, q, covariance)
+
+
+@kernel
 def factorise(matrix, factor, inverse, failed, definite, width):
     """Lower Cholesky factor (n, n, >= width) of matrix, inverse (n, >= width) of its diagonal; failed (>= width,) is
     set where it has none.

@@ -42,11 +42,12 @@ def _spread(deviations, weights, out, width):
                 row[s] = weighted
         for b in range(a):
             total, other, right, i = out[a, b], out[b, a], deviations[b], 0
-            while i + 4 <= m:  # four terms at a time: fewer loads and stores, the same order of additions
+            while i + 6 <= m:  # six terms at a time: fewer loads and stores, the same order of additions
                 for s in range(width):
-                    total[s] = (((total[s] + left[i, s] * right[i, s]) + left[i + 1, s] * right[i + 1, s])
-                                + left[i + 2, s] * right[i + 2, s]) + left[i + 3, s] * right[i + 3, s]
-                i += 4
+                    total[s] = (((((total[s] + left[i, s] * right[i, s]) + left[i + 1, s] * right[i + 1, s])
+                                  + left[i + 2, s] * right[i + 2, s]) + left[i + 3, s] * right[i + 3, s])
+                                + left[i + 4, s] * right[i + 4, s]) + left[i + 5, s] * right[i + 5, s]
+                i += 6
             while i < m:
                 for s in range(width):
                     total[s] += left[i, s] * right[i, s]
