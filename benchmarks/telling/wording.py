@@ -82,7 +82,7 @@ def ratio(value: float, fine: bool = False) -> str:
     if not np.isfinite(value):
         return number(value)
     if value >= 1e6:  # of two runs: nobody reads so many digits
-        return "over 10⁶"
+        return "over 1e6"
     return f"{value:.{3 if fine and 0 < abs(value - 1) < 0.01 else 2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
 
 
@@ -145,7 +145,7 @@ def _bare(relative: float) -> str:
     if not np.isfinite(value):
         return "∞" if value > 0 else "–"
     if value >= 1e8:
-        return "over 10⁸"
+        return "over 1e8"
     places = 0 if abs(value) >= 9.95 else 1
     while value and places < 4 and not float(f"{value:.{places}f}"):
         places += 1
