@@ -43,16 +43,16 @@ def test_no_figure_is_empty_and_nothing_leaves_its_canvas(results: Results) -> N
         where = f"{figure.name} {scenario}/{variant}"
         root = ET.fromstring(canvas.svg())
         width, height = (float(v) for v in root.attrib["viewBox"].split()[2:])
-        series = [node for node in root.iter("{http://www.w3.org/2000/svg}path")
-                  if {node.get("stroke"), node.get("fill")} & SERIES]
-        assert series, where
-        for node in root.iter("{http://www.w3.org/2000/svg}path"):
-            numbers = [int(n) for n in re.findall(r"-?\d+", node.attrib["d"])]
-            points = np.cumsum(np.array(numbers[:2 * (len(numbers) // 2)]).reshape(-1, 2), axis=0)
-            assert points[:, 0].min() >= -1, where
-            assert points[:, 0].max() <= width + 1, where
-            assert points[:, 1].min() >= -1, where
-            assert points[:, 1].max() <= height + 1, where
+        paths = [(node, parent) for parent in root.iter() for node in parent.findall("{http://www.w3.org/2000/svg}path")]
+        assert any({one.get(name) for one in pair for name in ("stroke", "fill")} & SERIES for pair in paths), where
+        for node, _ in paths:
+            for part in node.attrib["d"].split("M")[1:]:
+                numbers = [int(n) for n in re.findall(r"-?\d+", part)]
+                points = np.cumsum(np.array(numbers[:2 * (len(numbers) // 2)]).reshape(-1, 2), axis=0)
+                assert points[:, 0].min() >= -1, where
+                assert points[:, 0].max() <= width + 1, where
+                assert points[:, 1].min() >= -1, where
+                assert points[:, 1].max() <= height + 1, where
         texts = list(root.iter("{http://www.w3.org/2000/svg}text"))
         assert all(0 <= float(node.attrib["y"]) <= height for node in texts), where
         assert not [node.text for node in texts if re.search(r"\d\.\d{5}|\bnan\b|\binf\b", node.text or "")], where

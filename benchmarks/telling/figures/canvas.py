@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from html import escape
+from itertools import groupby
 from pathlib import Path
 from typing import Literal
 
@@ -106,7 +107,16 @@ class Canvas:
         colours = {name: f"var(--{name})" for name in LIGHT} if inline else LIGHT
         parts = [_svg_path(item, colours) if isinstance(item, _Path) else _svg_text(item, colours)
                  for item in self.items]
-        return visible(head + "".join(parts) + "</svg>")
+        grouped = []
+        for (tag, style), same in groupby(parts, lambda part: part[:2]):
+            items = [rest for _, _, rest in same]
+            if tag == "path" and "fill" not in style and all(rest.endswith('"/>') for rest in items):
+                items = [' d="' + "".join(rest[4:-3] for rest in items) + '"/>']  # strokes are one path
+            if len(items) == 1:
+                grouped.append(f"<{tag}{style}{items[0]}")
+            else:  # what looks alike says so once
+                grouped.append(f"<g{style}>{''.join(f'<{tag}{rest}' for rest in items)}</g>")
+        return visible(head + "".join(grouped) + "</svg>")
 
     def save(self, path: Path) -> None:
         """Write the figure; the file's suffix (.svg, .pdf, .png) chooses the format. PNG has 300 dots per inch."""
@@ -118,40 +128,42 @@ class Canvas:
             _save_with_matplotlib(self, path)
 
 
-def _svg_path(item: _Path, colours: dict[str, str]) -> str:
+def _svg_path(item: _Path, colours: dict[str, str]) -> tuple[str, str, str]:
+    """The element's tag, the attributes that it may share with its neighbours, and what is its own."""
     tenths = np.rint(item.points * 10).astype(np.int64)
     if item.dots:
         moves = "".join(f"M{x} {y}h0" for x, y in np.unique(tenths, axis=0).tolist())
-        return (f'<path d="{moves}" stroke="{colours[item.stroke or "ink"]}" stroke-width="{item.width * 10:g}" '
-                'stroke-linecap="round"/>')
+        return "path", (f' stroke="{colours[item.stroke or "ink"]}" stroke-width="{item.width * 10:g}" '
+                        'stroke-linecap="round"'), f' d="{moves}"/>'
     if len(tenths) > 2 and item.fill is None:
         keep = np.concatenate([[True], (np.diff(tenths, axis=0) != 0).any(axis=1)])
         tenths = tenths[keep]
     steps = np.diff(tenths, axis=0)
     moves = " ".join(f"{x} {y}" for x, y in steps.tolist()).replace(" -", "-")
     data = f"M{tenths[0, 0]} {tenths[0, 1]}" + (f"l{moves}" if moves else "h0") + ("z" if item.fill else "")
-    out = f'<path d="{data}"'
+    style = ""
     if item.fill:
-        out += f' fill="{colours[item.fill]}"'
+        style += f' fill="{colours[item.fill]}"'
         if item.opacity < 1:
-            out += f' fill-opacity="{item.opacity:g}"'
+            style += f' fill-opacity="{item.opacity:g}"'
     if item.stroke:
-        out += f' stroke="{colours[item.stroke]}" stroke-width="{item.width * 10:g}"'
+        style += f' stroke="{colours[item.stroke]}" stroke-width="{item.width * 10:g}"'
         if item.dash:
-            out += f' stroke-dasharray="{" ".join(f"{part * 10:g}" for part in item.dash)}"'
-    return out + (f"><title>{escape(item.title)}</title></path>" if item.title else "/>")
+            style += f' stroke-dasharray="{" ".join(f"{part * 10:g}" for part in item.dash)}"'
+    return "path", style, f' d="{data}"' + (
+        f"><title>{escape(item.title)}</title></path>" if item.title else "/>")
 
 
-def _svg_text(item: _Text, colours: dict[str, str]) -> str:
+def _svg_text(item: _Text, colours: dict[str, str]) -> tuple[str, str, str]:
+    """As `_svg_path`."""
     x, y = round(item.x * 10), round(item.y * 10)
-    out = f'<text x="{x}" y="{y}" font-size="{item.size * 10:g}" fill="{colours[item.colour]}"'
+    style = f' font-size="{item.size * 10:g}" fill="{colours[item.colour]}"'
     if item.anchor != "start":
-        out += f' text-anchor="{item.anchor}"'
+        style += f' text-anchor="{item.anchor}"'
     if item.bold:
-        out += ' font-weight="600"'
-    if item.turned:
-        out += f' transform="rotate(-90 {x} {y})"'
-    return f"{out}>{escape(item.text)}</text>"
+        style += ' font-weight="600"'
+    turned = f' transform="rotate(-90 {x} {y})"' if item.turned else ""
+    return "text", style, f' x="{x}" y="{y}"{turned}>{escape(item.text)}</text>'
 
 
 def _save_with_matplotlib(canvas: Canvas, path: Path) -> None:
