@@ -194,7 +194,11 @@ class StadiumTrack:
 
     def _given(self, interval: Interval, runs: int) -> tuple[Array, Array]:
         """What both compiled functions are told: the lengths of the track, and each run's share of a step."""
-        return np.array([self.half, self.radius]), np.full(runs, interval.share)
+        return self._lengths, np.full(runs, interval.share)
+
+    @cached_property
+    def _lengths(self) -> Array:
+        return np.array([self.half, self.radius])
 
     @cached_property
     def transition(self) -> Compiled:

@@ -119,7 +119,7 @@ def _both(low: Array, high: Array, least: Array, most: Array) -> tuple[Array, Ar
     """The intersection; where it is empty what is new alone stands."""
     a, b = np.maximum(low, least), np.minimum(high, most)
     empty = a > b
-    return np.where(empty, least, a), np.where(empty, np.where(np.isfinite(most), most, np.maximum(high, least)), b)
+    return np.where(empty, least, a), np.where(empty, most, b)
 
 
 def _climb(s: Array, slope: Slope) -> Array:
