@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...estimators.interface import Estimate, Estimator, Innovation, misshapen
+from ...estimators.interface import Estimate, Estimator, Innovation
 from ...estimators.late import for_late
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Measurement
@@ -23,10 +23,12 @@ from ..scoring.floor import Floor, Riccati, basis
 from ..scoring.innovations import InnovationScore
 from ..scoring.requirements import RequirementScores
 from ..scoring.scorer import Scored, Scorer
+from ..scoring.stretch import Stretch
 from ..scoring.windows import PhaseErrors, WindowErrors
 from .loop import Loop, Observer
 
-Watch = Callable[[int, Estimate, Step], None]
+Watch = Callable[[Stretch], None]
+"""Sees the steps of a drive, some at a time; what it wants to keep it copies."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class _Scoring(Observer):
                  watch: Watch | None) -> None:
         score = setting.config.score
         self.skip = int(np.searchsorted(step_times(world), score.skip - 1e-9))
-        self.runs, self.nx, self.watch, self.seconds = world.initial_mean.shape[1], model.own, watch, 0.0
+        self.runs, self.watch, self.seconds = world.initial_mean.shape[1], watch, 0.0
+        self.stretch, self.faulty = Stretch(self.runs, model.own), bool(setting.config.faults)
         self.scorer = Scorer(setting.quantities(), self.runs, world.steps, self.skip, dict(score.divergence),
                              None if model.performance is None else model.performance[:, :model.own])
         self.innovations = InnovationScore(self.runs, world.steps, self.skip)
@@ -63,7 +66,7 @@ class _Scoring(Observer):
         filters = estimator.lag == 0  # a smoother knows more than any filter's least error
         found = basis(setting, self.runs) if world.closed_loop and filters else None
         self.riccati = Riccati(setting, found, world, self.predicted_wanted) if found else None
-        self.k, self.good = 0, tuple[Any, ...]()
+        self.k = 0
         self.waiting, self.past = dict[int, tuple[int, Step]](), dict[int, Estimate]()
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
@@ -80,17 +83,29 @@ class _Scoring(Observer):
 
     def _score(self, k: int, step: Step, estimate: Estimate) -> None:
         begun = perf_counter()
-        self.scorer.add(k, self._checked(estimate, step), step)
-        self.faults.add(estimate, step)
+        stretch = self.stretch
+        if not stretch.take(k, estimate, step):
+            self.flush()
+            stretch.renew(estimate, step)
+            stretch.take(k, estimate, step)
+        if stretch.full:
+            self.flush()
+        if self.faulty:
+            self.faults.add(estimate, step)
         if self.riccati:
             self.riccati.take(k, step)
-        self.phases.add(estimate, step, k >= self.skip)
-        if k >= self.skip:
-            self.windows.add(estimate, step)
-            self.requirements.add(k, estimate, step)
-        if self.watch:
-            self.watch(k, estimate, step)
         self.seconds += perf_counter() - begun
+
+    def flush(self) -> None:
+        """Score the steps that wait for it."""
+        if self.stretch.count:
+            self.scorer.add(self.stretch)
+            self.phases.add(self.stretch, self.skip)
+            self.windows.add(self.stretch, self.skip)
+            self.requirements.add(self.stretch, self.skip)
+            if self.watch:
+                self.watch(self.stretch)
+            self.stretch.count = 0
 
     updated = predicted
 
@@ -98,24 +113,14 @@ class _Scoring(Observer):
         begun = perf_counter()
         if measurement.step == step.number:  # a late one tells of its own step
             self.innovations.add(self.k, step.active, measurement, innovation)
-            self.faults.judged(step, measurement, self.estimator.rejected)
+            if self.faulty:
+                self.faults.judged(step, measurement, self.estimator.rejected)
         self.seconds += perf_counter() - begun
-
-    def _checked(self, estimate: Estimate, step: Step) -> Estimate:
-        """The same, after a look at its arrays where any has another shape than before. Raises TypeError."""
-        shapes = tuple([(getattr(value, "shape", None), getattr(value, "dtype", None)) for value in (
-            estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid, estimate.bound)])
-        if shapes != self.good:
-            wrong = misshapen(estimate, self.nx, self.runs, len(step.truth) - self.nx)
-            if wrong:
-                raise TypeError(f"estimate(): {wrong}")
-            self.good = shapes
-        return estimate
 
 
 def drive(setting: Setting[Any], world: World, estimator: Estimator, model: DesignModel, random: RunRandom,
           watch: Watch | None = None, floor: Floor | None = None) -> Driven:
-    """Run a designed estimator through a world and score it as the scenario says. `watch` sees each scored step; floor:
+    """Run a designed estimator through a world and score it as the scenario says. `watch` sees the scored steps; floor:
     of the same world in open loop; in a closed one it is the estimator's own."""
     scoring = _Scoring(setting, world, estimator, model, watch)
     runs = scoring.runs
@@ -134,6 +139,7 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
         for name, value in estimator.extremes().items():
             np.copyto(extremes.setdefault(name, np.zeros(runs)), value, where=step.active)
     loop.finish()
+    scoring.flush()
     found = scoring.scorer.finish(status, estimator.reasons)
     bad = found.status != 0
     found.metrics.update({key: np.where(bad, np.nan, value) for key, value in scoring.innovations.finish().items()})

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ...estimators.interface import Estimate, Status
+from ...estimators.interface import Status
 from ...estimators.registry import estimator_class, estimators
 from ...scenarios.errors import Infeasible, InputError
 from ...scenarios.randomness import Streams
@@ -24,6 +24,7 @@ from ..isolation.process import clean
 from ..planning.plan import Task, own
 from ..planning.tasks import ROOM
 from ..scoring.floor import Floor, floor_of
+from ..scoring.stretch import Stretch
 from .drive import Driven, drive, prepare
 from .result import Result, failed, identity, joined
 
@@ -280,28 +281,23 @@ class _Keeper:
         self.wanted = bool(self.positions)
         self.seen: dict[str, list[np.ndarray]] = {}
 
-    def __call__(self, k: int, estimate: Estimate, step: Step) -> None:
-        n, active = len(self.positions), step.active
-        mean = estimate.mean[:, :n].copy()
-        if estimate.parameter is not None:
-            mean = np.concatenate([mean, estimate.parameter[:, :n]])
-        if not all(active[:n].tolist()):
-            mean[:, ~active[:n]] = np.nan
-        row = {"step": np.array(k), "truth": step.truth[:, :n].copy(), "mean": mean}
-        for name, matrix in (("covariance", estimate.covariance), ("ellipsoid", estimate.ellipsoid)):
-            if matrix is not None:
-                diagonal = matrix.diagonal().T[:, :n]
-                row[name] = diagonal.copy() if matrix.shape[2] > 1 else np.repeat(diagonal, n, axis=1)
-        if estimate.diversity is not None:
-            row["diversity"] = estimate.diversity[:n].astype(float)
-        for name, values in row.items():
-            self.seen.setdefault(name, []).append(values)
+    def __call__(self, stretch: Stretch) -> None:
+        n, active = len(self.positions), stretch.active[:, None, :len(self.positions)]
+        rows = {"truth": stretch.truth, "mean": np.where(active, stretch.vector[:, :stretch.estimated, :n], np.nan)}
+        for name, claims in (("covariance", stretch.covariance), ("ellipsoid", stretch.ellipsoid)):
+            if claims is not None:
+                rows[name] = claims.diagonal
+        if stretch.diversity is not None:
+            rows["diversity"] = stretch.diversity
+        for name, values in {**rows, "step": stretch.places}.items():
+            own = values if values.ndim == 1 else values[..., :n]
+            self.seen.setdefault(name, []).append(own[:stretch.count].copy())
 
     def tables(self, times: np.ndarray) -> list[pa.Table]:
         """One table per kept run and name; all parts (K, kept runs). times (K,) of all steps, s."""
         if not self.seen:
             return []
-        seen = {name: np.array(values) for name, values in self.seen.items()}
+        seen = {name: np.concatenate(values) for name, values in self.seen.items()}
         mean, truth = seen["mean"], seen["truth"]
         claimed = seen.get("covariance", seen.get("ellipsoid", np.empty((0, 0, 0))))
         columns: dict[str, tuple[np.ndarray, ...]] = {}

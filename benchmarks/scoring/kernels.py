@@ -46,50 +46,73 @@ def has_gaps(truth):
 
 @kernel
 def score_errors(vector, truth, active, scored, index, weight, owner, share, limit, good, live, step, totals, last,
-                 left_out, steps, curve):
-    """Take up one step's errors of the runs that are active (S,) and good (S,), which live (S,) 1.0 or 0.0 tells
-    afterwards; a run whose error is not finite or above its limit is good no longer.
+                 left_out, steps, places, curves):
+    """Take up the errors of steps b of the runs that are active (B, S) and good (S,), which live (B, S) 1.0 or 0.0
+    tells afterwards; a run whose error is not finite or above its limit is good no longer.
 
-    vector, truth (>= nt, S); scored (nt, S), or (0, 0): all elements count. step (4, nq, S) is work space. totals
-    (3, nq, S), last (nq, S), left_out (nq, S), steps (S,) as in the functions below; curve (6, nq or more) of this
-    step: sums over runs of squares, their squares, errors, and the number of runs in [3, 0]."""
-    for s in range(live.shape[0]):
-        live[s] = 1.0 if active[s] and good[s] else 0.0
-    add_errors(vector, truth, live, index, weight, owner, share, limit, step)
-    for s in range(live.shape[0]):
-        good[s] = good[s] and (live[s] > 0.0 or not active[s])
-    accumulate_curves(step, live, last, steps, curve)
-    if scored.shape[0]:
-        add_partial(vector, truth, live, scored, index, weight, owner, share, step, left_out)
-    accumulate(step, live, totals)
+    vector, truth (B, >= nt, S); scored (B, nt, S), or (B, 0, 0): all elements count. step (4, nq, S) is work space.
+    totals (3, nq, S), last (nq, S), left_out (nq, S), steps (S,) as in the functions below; curves (K, 6, nq or more)
+    of each step, b being places[b]: sums over runs of squares, their squares, errors, number of runs in [3, 0]."""
+    for b in range(vector.shape[0]):
+        on = live[b]
+        for s in range(on.shape[0]):
+            on[s] = 1.0 if active[b, s] and good[s] else 0.0
+        add_errors(vector[b], truth[b], on, index, weight, owner, share, limit, step)
+        for s in range(on.shape[0]):
+            good[s] = good[s] and (on[s] > 0.0 or not active[b, s])
+        accumulate_curves(step, on, last, steps, curves[places[b]])
+        if scored.shape[1]:
+            add_partial(vector[b], truth[b], on, scored[b], index, weight, owner, share, step, left_out)
+        accumulate(step, on, totals)
 
 
 @kernel
-def score_forms(form, live, total, count, curve, middle, limit, inside, histogram):
-    """A step's NEES, form (S,), taken up by total, count (S,) and curve (6, ..) of this step: the sum over runs in
-    [4, 0], their number in [5, 0]. The rest as in `add_spread`."""
-    add_forms(form, live, total, count, curve[4], curve[5])
-    add_spread(form, live, middle, limit, inside, histogram)
+def score_forms(form, failed, live, lost, total, count, places, curves, middle, limit, inside, histogram):
+    """The NEES of steps b, form (B, S), taken up by total, count (S,) and curves (K, 6, ..) of each step: the sum over
+    runs in [4, 0], their number in [5, 0]. lost (S,): set where a live run failed. The rest as in `add_spread`."""
+    for b in range(form.shape[0]):
+        for s in range(lost.shape[0]):
+            lost[s] |= failed[b, s] and live[b, s] > 0.0
+        curve = curves[places[b]]
+        add_forms(form[b], live[b], total, count, curve[4], curve[5])
+        add_spread(form[b], live[b], middle, limit, inside, histogram)
+
+
+@kernel
+def score_sets(form, failed, diagonal, live, lost, index, weight, owner, share, inside, steps, half_width):
+    """Of steps b, form, live (B, S): inside (S,) counts those with the truth in the ellipsoid, form <= 1, steps (S,)
+    all, half_width (nq, S) sums the ellipsoid's: roots of its diagonal (B, n, S), NaN where it has no such element."""
+    for b in range(form.shape[0]):
+        for s in range(lost.shape[0]):
+            lost[s] |= failed[b, s] and live[b, s] > 0.0
+            if live[b, s] > 0.0 and form[b, s] == form[b, s]:
+                inside[s] += 1.0 if form[b, s] <= 1.0 + 1e-9 else 0.0
+                steps[s] += 1.0
+                for r in range(index.shape[0]):
+                    wide = diagonal[b, index[r], s] if index[r] < diagonal.shape[1] else np.nan
+                    half_width[owner[r], s] += share[r] * np.sqrt(weight[r] * weight[r] * (0.0 if wide < 0.0 else wide))
 
 
 @kernel
 def score_bound(vector, truth, performance, bound, live, certified, performed, steps):
-    """Of live runs, certified (S,) takes up the bound (S or 1,), performed (S,) the square |M e|^2 of the performance
-    M (nz, nx), steps (S,) one."""
-    runs = live.shape[0]
+    """Of live runs (B, S), certified (S,) takes up the bound (B, S or 1), performed (S,) the square |M e|^2 of the
+    performance M (nz, nx), steps (S,) one."""
+    runs = live.shape[1]
     z = np.empty(runs)
-    for s in range(runs):
-        certified[s] += live[s] * bound[0 if bound.shape[0] == 1 else s]
-        steps[s] += live[s]
-    for i in range(performance.shape[0]):
-        z[:] = 0.0
-        for j in range(performance.shape[1]):
-            weight = performance[i, j]
-            if weight != 0.0:
-                for s in range(runs):
-                    z[s] += weight * (vector[j, s] - truth[j, s])
+    for b in range(live.shape[0]):
         for s in range(runs):
-            performed[s] += z[s] * z[s] if live[s] > 0.0 else 0.0
+            certified[s] += live[b, s] * bound[b, 0 if bound.shape[1] == 1 else s]
+            steps[s] += live[b, s]
+        for i in range(performance.shape[0]):
+            for s in range(runs):
+                z[s] = 0.0
+            for j in range(performance.shape[1]):
+                weight = performance[i, j]
+                if weight != 0.0:
+                    for s in range(runs):
+                        z[s] += weight * (vector[b, j, s] - truth[b, j, s])
+            for s in range(runs):
+                performed[s] += z[s] * z[s] if live[b, s] > 0.0 else 0.0
 
 
 @kernel
@@ -286,23 +309,24 @@ def histogram_medians(histogram):
 
 @kernel
 def add_windows(vector, truth, active, window, index, weight, owner, share, squared, steps):
-    """Add one step's squared errors to the window (S,) that each active run is in (-1: none) where all elements of a
-    quantity are known (not NaN). Element i of the parts is index[i] of the truth, weight[i] of quantity owner[i], its
-    square over share[i]. squared, steps (nq, nw, S)."""
-    for s in range(active.shape[0]):
-        w = window[s]
-        if active[s] and w >= 0:
-            i = 0
-            while i < index.shape[0]:
-                q, first, known = owner[i], i, True
-                while i < index.shape[0] and owner[i] == q:
-                    known &= np.isfinite(truth[index[i], s])
-                    i += 1
-                if known:
-                    steps[q, w, s] += 1.0
-                    for j in range(first, i):
-                        error = weight[j] * (vector[index[j], s] - truth[index[j], s])
-                        squared[q, w, s] += error * error / share[j]
+    """Add the squared errors of steps b to the window (B, S) that each active run is in (-1: none) where all elements
+    of a quantity are known (not NaN). Element i of the parts is index[i] of the truth, weight[i] of quantity owner[i],
+    its square over share[i]. squared, steps (nq, nw, S)."""
+    for b in range(window.shape[0]):
+        for s in range(window.shape[1]):
+            w = window[b, s]
+            if active[b, s] and w >= 0:
+                i = 0
+                while i < index.shape[0]:
+                    q, first, known = owner[i], i, True
+                    while i < index.shape[0] and owner[i] == q:
+                        known &= np.isfinite(truth[b, index[i], s])
+                        i += 1
+                    if known:
+                        steps[q, w, s] += 1.0
+                        for j in range(first, i):
+                            error = weight[j] * (vector[b, index[j], s] - truth[b, index[j], s])
+                            squared[q, w, s] += error * error / share[j]
 
 
 STANDING, COASTING = 0.05, 0.1
@@ -310,23 +334,16 @@ STANDING, COASTING = 0.05, 0.1
 
 
 @kernel
-def driving_phases(speed, length, before, phase):
-    """phase (S,): by place in `columns.PHASES`, of a step of `length` (S,) s that ends at `speed` (S,) m/s and began at
-    `before` (S,), which then is `speed`; -1 where that is not known."""
-    for s in range(phase.shape[0]):
-        v, phase[s] = speed[s], -1
-        if v <= STANDING:
-            phase[s] = 0
-        elif length[s] > 0.0:
-            a = (v - before[s]) / length[s]
-            phase[s] = 1 if a > COASTING else 3 if a < -COASTING else 2 if np.isfinite(a) else -1
-        before[s] = v
-
-
-@kernel
-def add_phases(vector, truth, active, place, length, before, phase, scored, index, weight, owner, share, squared,
-               steps):
-    """Tell the phase of a step, the speed being the truth's element `place`, and add its squared errors to it."""
-    driving_phases(truth[place], length, before, phase)
-    if scored:
-        add_windows(vector, truth, active, phase, index, weight, owner, share, squared, steps)
+def driving_phases(truth, place, length, before, phase):
+    """phase (B, S): by place in `columns.PHASES`, of steps of `length` (B, S) s; the speed at their ends is truth's
+    element `place`, at the first's beginning `before` (S,), which then is the last; -1 where that is not known."""
+    for b in range(phase.shape[0]):
+        speed = truth[b, place]
+        for s in range(phase.shape[1]):
+            v, phase[b, s] = speed[s], -1
+            if v <= STANDING:
+                phase[b, s] = 0
+            elif length[b, s] > 0.0:
+                a = (v - before[s]) / length[b, s]
+                phase[b, s] = 1 if a > COASTING else 3 if a < -COASTING else 2 if np.isfinite(a) else -1
+            before[s] = v

@@ -13,21 +13,26 @@ from ...scenarios.machine_code import njit
 
 
 @njit(cache=True)
-def keep_errors(vector, truth, active, scored, matrix, index, weight, error, true, counts, claim):  # pyright: ignore
-    """error, true, counts, claim (n, S) := of one step, of the elements `index` of the truth, times their weight: error
-    of the vector (n, S), the truth, whether it counts (scored (0, 0): all do), and one standard deviation claimed by a
-    matrix (m, m, S or 1), where it has that element. Nothing is written of elements that are not estimated."""
-    for q in range(index.shape[0]):
-        i, w = index[q], weight[q]
-        if i >= vector.shape[0]:
-            continue
-        for s in range(active.shape[0]):
-            error[q, s], true[q, s] = w * (vector[i, s] - truth[i, s]), w * truth[i, s]
-            counts[q, s] = active[s] and not np.isnan(truth[i, s]) and (scored.shape[0] == 0 or scored[i, s])
-        if i < matrix.shape[0]:
-            for s in range(active.shape[0]):
-                variance = matrix[i, i, s if matrix.shape[2] > 1 else 0]
-                claim[q, s] = abs(w) * np.sqrt(0.0 if variance < 0.0 else variance)
+def keep_errors(vector, truth, active, scored, diagonal, places, estimated, index, weight, error, true, counts,
+                claim):  # pyright: ignore
+    """error, true, counts, claim (K, n, S) := of steps b, which are places[b], of the elements `index` of the truth,
+    times their weight: error of the vector (B, n, S), the truth, whether it counts (scored (B, 0, 0): all do), and one
+    standard deviation by a matrix's diagonal (B, m, S), where it has that element. Nothing is written of elements
+    beyond those `estimated`."""
+    for b in range(vector.shape[0]):
+        k = places[b]
+        for q in range(index.shape[0]):
+            i, w = index[q], weight[q]
+            if i >= estimated:
+                continue
+            for s in range(active.shape[1]):
+                error[k, q, s], true[k, q, s] = w * (vector[b, i, s] - truth[b, i, s]), w * truth[b, i, s]
+                counts[k, q, s] = active[b, s] and not np.isnan(truth[b, i, s]) and (
+                    scored.shape[1] == 0 or scored[b, i, s])
+            if i < diagonal.shape[1]:
+                for s in range(active.shape[1]):
+                    variance = diagonal[b, i, s]
+                    claim[k, q, s] = abs(w) * np.sqrt(0.0 if variance < 0.0 else variance)
 
 
 @njit(cache=True)

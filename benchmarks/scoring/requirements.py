@@ -8,14 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...estimators.interface import Estimate
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.requirements import Allowance, Confidence, Percentile, Requirement, Speed, Stop
 from ...scenarios.setting import Outcome, Quantity
-from ...scenarios.world import Step
 from .requirement_kernels import claims, drifts, keep_errors, percentiles, shares
+from .stretch import Stretch, everything
 
-EVERYTHING, NOTHING = np.zeros((0, 0), dtype=bool), np.zeros((0, 0, 0))
 PERCENTILES = (50.0, 95.0, 99.0)
 DISTANCES = (10.0, 100.0, 1000.0)
 """Metres travelled over which the change of a position's error is told."""
@@ -45,21 +43,22 @@ class RequirementScores:
         self.sets = np.zeros(n, dtype=bool)
         self.steps = 0
 
-    def add(self, k: int, estimate: Estimate, step: Step) -> None:
-        """Keep what step k says."""
-        if not self.quantities:
+    def add(self, stretch: Stretch, skip: int) -> None:
+        """Keep what steps from the world's step `skip` on say."""
+        take = stretch.from_place(skip)
+        if not self.quantities or take.start == take.stop:
             return
-        self.steps, self.active[k] = k + 1, step.active
-        vector = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
-        matrix = estimate.covariance if estimate.covariance is not None else estimate.ellipsoid
-        scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
-        keep_errors(np.ascontiguousarray(vector), np.ascontiguousarray(step.truth), step.active, scored,
-                    NOTHING if matrix is None else np.ascontiguousarray(matrix), self.index, self.weight,
-                    self.error[k], self.truth[k], self.counts[k], self.claim[k])
-        if matrix is not None:
-            self.sets[self.index < len(matrix)] = estimate.covariance is None
-        if len(self.reference) and step.reference is not None:
-            self.reference[k] = step.reference
+        places = stretch.places[take]
+        self.steps, self.active[places] = int(places[-1]) + 1, stretch.active[take]
+        claimed = stretch.covariance or stretch.ellipsoid
+        scored = everything(stretch.count) if stretch.scored is None else stretch.scored
+        diagonal = stretch.truth[:, :0] if claimed is None else claimed.diagonal
+        keep_errors(stretch.vector[take], stretch.truth[take], stretch.active[take], scored[take], diagonal[take],
+                    places, stretch.estimated, self.index, self.weight, self.error, self.truth, self.counts, self.claim)
+        if claimed is not None:
+            self.sets[self.index < claimed.diagonal.shape[1]] = stretch.covariance is None
+        if len(self.reference) and stretch.reference is not None:
+            self.reference[places] = stretch.reference[take]
 
     def finish(self) -> dict[Outcome, Array]:
         """{(metric, requirement or quantity, unit): (S,)}; NaN where nothing was claimed or nothing counts."""

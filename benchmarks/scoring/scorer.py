@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from ...estimators.interface import Estimate, Status
+from ...estimators.interface import Status
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.setting import Quantity
-from ...scenarios.world import Step
-from .kernels import BINS, has_gaps, histogram_medians, quadratic_forms, score_bound, score_errors, score_forms
+from .kernels import BINS, histogram_medians, score_bound, score_errors, score_forms, score_sets
+from .stretch import Stretch, everything
 
-EVERYTHING = np.zeros((0, 0), dtype=bool)
 CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")
 
 
@@ -56,7 +55,7 @@ class Scorer:
         n = len(quantities)
         self.totals, self.step = np.zeros((3, n, runs)), np.empty((4, n, runs))
         self.last, self.left_out = np.zeros((n, runs)), np.zeros((n, runs))
-        self.steps, self.live, self.form = np.zeros(runs), np.empty(runs), np.empty(runs)
+        self.steps = np.zeros(runs)
         self.good, self.lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
         self.nees, self.nees_steps, self.nees_inside = np.zeros(runs), np.zeros(runs), np.zeros(runs)
         self.histogram, self.middle, self.outer = np.zeros((0, BINS), dtype=np.int32), np.nan, np.nan
@@ -67,64 +66,60 @@ class Scorer:
         self.estimated = max((part[0] for part in parts), default=-1) + 1
         self.nees_states = 0
 
-    def add(self, k: int, estimate: Estimate, step: Step) -> None:
-        """Score the estimate of step k: the elements whose truth is known (not NaN), and of claims those of the
-        truth's own states, which come first."""
-        if k < self.skip:
+    def add(self, stretch: Stretch) -> None:
+        """Score steps: the elements whose truth is known (not NaN), and of claims those of the truth's own states,
+        which come first."""
+        take = stretch.from_place(self.skip)
+        if take.start == take.stop:
             return
-        mean = np.ascontiguousarray(estimate.mean)
-        vector = mean if estimate.parameter is None else np.concatenate([mean, estimate.parameter])
-        truth, live, curve = np.ascontiguousarray(step.truth), self.live, self.curves[k]
-        self.estimated = len(vector)
-        if len(vector) < len(truth):  # a parameter that is not estimated: no error here, no metric in `finish`
-            vector = np.concatenate([vector, truth[len(vector):]])
-        scored = EVERYTHING if step.scored is None else np.ascontiguousarray(step.scored)
-        active, known, last, gaps = step.active, EVERYTHING, self.last, has_gaps(truth)
-        if gaps:
-            known = ~np.isnan(truth)
-            scored = known if step.scored is None else known & step.scored
-            active, last = active & scored.any(axis=0), self.last.copy()
-            truth = np.where(known, truth, vector[:len(truth)])
-        score_errors(vector, truth, active, scored, self.index, self.weight, self.owner, self.share, self.limit,
-                     self.good, live, self.step, self.totals, self.last, self.left_out, self.steps, curve)
-        if gaps:
-            live = self._without_gaps(known, last, curve)
-        if estimate.covariance is not None and self.referenced:
-            n = min(len(truth), estimate.covariance.shape[0])
-            if n != self.nees_states:
-                self.nees_states, self.histogram = n, np.zeros((len(live), BINS), dtype=np.int32)
-                self.middle, self.outer = (2 * float(gammaincinv(n / 2, share)) for share in (0.5, 0.95))
-            quadratic_forms(vector, truth, np.ascontiguousarray(estimate.covariance[:n, :n]), live, self.form,
-                            self.lost)
-            score_forms(self.form, live, self.nees, self.nees_steps, curve, self.middle, self.outer, self.nees_inside,
-                        self.histogram)
+        self.estimated, places, vector, truth = stretch.estimated, stretch.places[take], stretch.vector, stretch.truth
+        live = np.empty((stretch.count, self.steps.size))
+        scored = everything(stretch.count) if stretch.scored is None else stretch.scored
+        if stretch.gaps[take].any():
+            truth = np.where(np.isnan(truth), np.nan_to_num(vector[:, :truth.shape[1]]), truth)
+            for b in range(take.start, take.stop):
+                self._partial(slice(b, b + 1), stretch, truth, scored, live)
+        else:
+            self._errors(take, stretch, truth[take], stretch.active[take], scored[take], live)
+        if stretch.covariance is not None and self.referenced:
+            claims = stretch.covariance
+            if claims.states != self.nees_states:
+                self.nees_states, self.histogram = claims.states, np.zeros((live.shape[1], BINS), dtype=np.int32)
+                self.middle, self.outer = (2 * float(gammaincinv(claims.states / 2, share)) for share in (0.5, 0.95))
+            score_forms(claims.form[take], claims.failed[take], live[take], self.lost, self.nees, self.nees_steps,
+                        places, self.curves, self.middle, self.outer, self.nees_inside, self.histogram)
             self.claimed.add("nees")
-        if estimate.ellipsoid is not None:
-            n = min(len(truth), estimate.ellipsoid.shape[0])
-            quadratic_forms(vector, truth, np.ascontiguousarray(estimate.ellipsoid[:n, :n]), live, self.form,
-                            self.lost)
-            use = (live > 0) & ~np.isnan(self.form)
-            self.inside += use & (self.form <= 1 + 1e-9)
-            self.ellipsoid_steps += use
-            for i, w, q, f in zip(self.index, self.weight, self.owner, self.share, strict=True):
-                wide = f * np.sqrt(w * w * np.maximum(estimate.ellipsoid[i, i], 0)) if i < n else np.nan
-                self.half_width[q] += np.where(use, wide, 0)
+        if stretch.ellipsoid is not None:
+            claims = stretch.ellipsoid
+            score_sets(claims.form[take], claims.failed[take], claims.diagonal[take], live[take], self.lost, self.index,
+                       self.weight, self.owner, self.share, self.inside, self.ellipsoid_steps, self.half_width)
             self.claimed.add("ellipsoid")
-        if estimate.bound is not None and self.performance is not None:
-            score_bound(vector, truth, self.performance, np.ascontiguousarray(estimate.bound), live, self.bound,
+        if stretch.bound is not None and self.performance is not None:
+            score_bound(vector[take], truth[take], self.performance, stretch.bound[take], live[take], self.bound,
                         self.performed, self.bound_steps)
             self.claimed.add("bound")
 
-    def _without_gaps(self, known: Mask, last: Array, curve: Array) -> Array:
-        """After a step with unknown truth (known (nt, S)): the last error of a quantity stays what it was, `last`,
-        where one of its elements is unknown, its curve has a gap, and claims are judged where all is known: live
-        (S,)."""
+    def _errors(self, take: slice, stretch: Stretch, truth: Array, active: Mask, scored: Mask, live: Array) -> None:
+        score_errors(stretch.vector[take], truth, active, scored, self.index, self.weight, self.owner,
+                     self.share, self.limit, self.good, live[take], self.step, self.totals, self.last, self.left_out,
+                     self.steps, stretch.places[take], self.curves)
+
+    def _partial(self, take: slice, stretch: Stretch, truth: Array, scored: Mask, live: Array) -> None:
+        """A step whose truth may be unknown, filled in `truth`: there the last error of a quantity stays what it was,
+        its curve has a gap, and claims are judged where all is known, live (B, S)."""
+        known = ~np.isnan(stretch.truth[take])
+        if known.all():
+            self._errors(take, stretch, truth[take], stretch.active[take], scored[take], live)
+            return
+        counts = known if not scored.shape[1] else known & scored[take]
+        active, last = stretch.active[take] & counts.any(axis=1), self.last.copy()
+        self._errors(take, stretch, truth[take], active, counts, live)
         for q in range(len(self.quantities)):
-            missing = ~known[self.index[self.owner == q]].all(axis=0)
+            missing = ~known[0, self.index[self.owner == q]].all(axis=0)
             self.last[q] = np.where(missing, last[q], self.last[q])
-            if (missing & (self.live > 0)).any():
-                curve[:3, q] = np.nan
-        return self.live * known.all(axis=0)
+            if (missing & (live[take.start] > 0)).any():
+                self.curves[stretch.places[take.start], :3, q] = np.nan
+        live[take] *= known.all(axis=1)
 
     def finish(self, status: NDArray[np.int8], reasons: Mapping[int, str]) -> Scored:
         """The metrics per run. Runs the estimator itself gave up keep their status and reason (by place in the batch);

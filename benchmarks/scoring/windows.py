@@ -7,13 +7,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...estimators.interface import Estimate
 from ...scenarios.arrays import Array
 from ...scenarios.setting import Outcome, Quantity
-from ...scenarios.world import Step
 from .columns import PHASES
-from .kernels import add_phases, add_windows
+from .kernels import add_windows, driving_phases
+from .stretch import Stretch
 
 
 class WindowErrors:
@@ -28,14 +28,16 @@ class WindowErrors:
         self.index, self.owner = (np.array([part[column] for part in parts], dtype=np.int64) for column in (0, 2))
         self.weight, self.share = (np.array([part[column] for part in parts], dtype=float) for column in (1, 3))
 
-    def add(self, estimate: Estimate, step: Step) -> None:
-        """Score the estimate of a step in the window each run is in (step.window (S,), -1: none), where the truth is
-        known (not NaN)."""
-        if not self.names or step.window is None:
-            return
-        vector = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
-        add_windows(np.ascontiguousarray(vector), np.ascontiguousarray(step.truth), step.active, step.window,
-                    self.index, self.weight, self.owner, self.share, self.squared, self.steps)
+    def add(self, stretch: Stretch, skip: int) -> None:
+        """Score steps from the world's step `skip` on in the window each run is in, where the truth is known."""
+        if stretch.window is not None:
+            self._add(stretch, skip, stretch.window)
+
+    def _add(self, stretch: Stretch, skip: int, window: NDArray[np.int16]) -> None:
+        if self.names:
+            take = stretch.from_place(skip)
+            add_windows(stretch.vector[take], stretch.truth[take], stretch.active[take], window[take], self.index,
+                        self.weight, self.owner, self.share, self.squared, self.steps)
 
     def finish(self) -> dict[Outcome, Array]:
         """{("rmse", "QUANTITY-WINDOW", unit): (S,)}, NaN where a run never was in the window."""
@@ -53,16 +55,12 @@ class PhaseErrors(WindowErrors):
         places = [item for item in quantities if item.unit == "m" and item.mean]
         super().__init__(PHASES if speeds else (), [*places[:1], *speeds[:1]] if speeds else (), runs)
         self.speed = speeds[0].components[0][0] if speeds else -1
-        self.before, self.phase, self.length = np.full(runs, np.nan), np.full(runs, -1, dtype=np.int16), np.zeros(runs)
+        self.before = np.full(runs, np.nan)
 
-    def add(self, estimate: Estimate, step: Step, scored: bool = True) -> None:
-        """Score the estimate of a step; of one that is not scored only the speed counts, from which the next one's
-        acceleration follows."""
-        if not self.names:
-            return
-        if isinstance(step.length, np.ndarray) or step.length != self.length[0]:
-            self.length[:] = step.length
-        vector = estimate.mean if estimate.parameter is None else np.concatenate([estimate.mean, estimate.parameter])
-        add_phases(np.ascontiguousarray(vector), np.ascontiguousarray(step.truth), step.active, self.speed, self.length,
-                   self.before, self.phase, scored, self.index, self.weight, self.owner, self.share, self.squared,
-                   self.steps)
+    def add(self, stretch: Stretch, skip: int) -> None:
+        """Score steps from the world's step `skip` on; of those before only the speed counts."""
+        if self.names:
+            phase = np.empty(stretch.active.shape, dtype=np.int16)
+            driving_phases(stretch.truth[:stretch.count], self.speed, stretch.length, self.before,
+                           phase[:stretch.count])
+            self._add(stretch, skip, phase)

@@ -21,6 +21,7 @@ from railstate.scenarios.setting import Quantity
 from railstate.scenarios.world import Step
 
 from ..conftest import SCENARIO, Command
+from .steps import stretches
 
 QUANTITIES = (Quantity("position", "m", ((0, 1.0),)), Quantity("speed", "m/s", ((1, 1.0),)))
 
@@ -34,12 +35,15 @@ def scored(requirement: Requirement, truth: Array, error: Array, variance: Array
     """The columns of truth, error (K, 2, S), by metric; reference (K, 2, S); variance (K, S) of position."""
     scores = RequirementScores([requirement], QUANTITIES, truth.shape[2], len(truth))
     active = np.ones(truth.shape[2], dtype=bool)
+    steps = []
     for k in range(len(truth)):
         claim = None if variance is None else variance[k][None, None]
         estimate = Estimate(truth[k] + error[k], **{"ellipsoid" if ellipsoid else "covariance": claim})
-        scores.add(k, estimate, Step(np.zeros((0, truth.shape[2])), (), truth[k], active,
+        steps.append((estimate, Step(np.zeros((0, truth.shape[2])), (), truth[k], active,
                                      None if scored is None else scored[k],
-                                     reference=None if reference is None else reference[k]))
+                                     reference=None if reference is None else reference[k])))
+    for stretch in stretches(steps, [1, *[50] * (len(truth) // 50 + 1)]):
+        scores.add(stretch, 0)
     return {metric if name == "it" else f"{metric}:{name}": value
             for (metric, name, _), value in scores.finish().items()}
 
@@ -126,10 +130,10 @@ def test_claims_and_percentiles(ellipsoid: bool) -> None:
 def test_a_stop_is_the_last_step_of_each_run_whatever_else_counts() -> None:
     truth, error, _, _ = random_case()
     scores = RequirementScores([asked(form="stop", within=0.5)], QUANTITIES, 3, 10)
-    for k in range(10):
-        active = np.array([k < 4, True, k < 7])
-        scores.add(k, Estimate(truth[k] + error[k]), Step(np.zeros((0, 3)), (), truth[k], active,
-                                                          np.zeros((2, 3), dtype=bool)))
+    steps = [(Estimate(truth[k] + error[k]), Step(np.zeros((0, 3)), (), truth[k], np.array([k < 4, True, k < 7]),
+                                                  np.zeros((2, 3), dtype=bool))) for k in range(10)]
+    for stretch in stretches(steps, [4, 4, 4]):
+        scores.add(stretch, 0)
     found = scores.finish()
     final = np.abs([error[3, 0, 0], error[9, 0, 1], error[6, 0, 2]])
     np.testing.assert_allclose(found["error", "it", "m"], final)

@@ -12,6 +12,8 @@ from railstate.scenarios.setting import Quantity
 from railstate.scenarios.world import Step
 from scipy.stats import chi2
 
+from .steps import stretches
+
 STEPS, SKIP = 12, 3
 QUANTITIES = (Quantity("position", "m", ((0, 1.0), (1, 1.0))), Quantity("speed", "m/s", ((2, 3.6),)),
               Quantity("weighted", "1", ((0, 0.5), (2, 2.0)), mean=False))
@@ -31,9 +33,10 @@ def scored(runs: slice, mean: np.ndarray, covariance: np.ndarray):
     """What the scorer makes of some of 33 runs."""
     truth, _, _, active = random_case(33)
     scorer = Scorer(QUANTITIES, len(range(33)[runs]), STEPS, SKIP, {"speed": 50.0}, None)
-    for k in range(STEPS):
-        step = Step(np.zeros((0, 1)), (), truth[k][:, runs], active[k][runs])
-        scorer.add(k, Estimate(mean[k][:, runs], covariance=covariance[k][:, :, runs]), step)
+    steps = [(Estimate(mean[k][:, runs], covariance=covariance[k][:, :, runs]),
+              Step(np.zeros((0, 1)), (), truth[k][:, runs], active[k][runs])) for k in range(STEPS)]
+    for stretch in stretches(steps, [1, 5, 2, 4]):
+        scorer.add(stretch)
     return scorer.finish(np.zeros(len(range(33)[runs]), dtype=np.int8), {})
 
 
@@ -49,9 +52,10 @@ def test_errors_by_phase_equal_a_naive_loop() -> None:
     quantities = (Quantity("position", "m", ((0, 1.0),)), Quantity("weighted", "1", ((0, 1.0), (1, 1.0)), mean=False),
                   Quantity("speed", "m/s", ((1, 1.0),)), Quantity("speed-front", "m/s", ((1, 1.0),)))
     scores = PhaseErrors(quantities, 5)
-    for k in range(len(length)):
-        step = Step(np.zeros((0, 5)), (), truth[k], active[k], length=length[k])
-        scores.add(Estimate(mean[k]), step, k >= SKIP)
+    steps = [(Estimate(mean[k]), Step(np.zeros((0, 5)), (), truth[k], active[k], length=length[k]))
+             for k in range(len(length))]
+    for stretch in stretches(steps, [1, 1, 10, 20]):
+        scores.add(stretch, SKIP)
     told = (("position", "m"), ("speed", "m/s"))
     expected: dict[tuple[str, str, str], list[list[float]]] = {
         ("rmse", f"{name}-{phase}", unit): [[] for _ in range(5)] for name, unit in told
@@ -158,10 +162,11 @@ def test_a_claim_without_uncertainty_where_there_is_an_error_is_infinitely_too_s
 
 def test_infinite_nees_reaches_the_metrics() -> None:
     scorer = Scorer((Quantity("position", "m", ((0, 1.0),)),), 2, 3, 0, {}, None)
-    for k in range(3):
-        claim = np.array([[[1.0, 1.0]]]) * (k != 1 or np.array([1.0, 0.0]))
-        nothing = np.zeros((1, 2))
-        scorer.add(k, Estimate(nothing + 2.0, covariance=claim), Step(nothing, (), nothing, np.ones(2, dtype=bool)))
+    nothing = np.zeros((1, 2))
+    claims = [np.array([[[1.0, 1.0]]]) * (k != 1 or np.array([1.0, 0.0])) for k in range(3)]
+    for stretch in stretches([(Estimate(nothing + 2.0, covariance=claim),
+                               Step(nothing, (), nothing, np.ones(2, dtype=bool))) for claim in claims], [3]):
+        scorer.add(stretch)
     found = scorer.finish(np.zeros(2, dtype=np.int8), {})
     assert found.metrics["nees", "state"].tolist() == [4.0, np.inf] and not found.status.any()
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from railstate.benchmarks.running.drive import drive, prepare
+from railstate.benchmarks.running.loop import Loop, Observer
 from railstate.estimators.random_access.covariance import covariance_sequence
 from railstate.estimators.random_access.estimators import ConditionalRandomAccess, RandomAccessFilter
 from railstate.scenarios.errors import Unsupported
@@ -29,20 +30,26 @@ BOTH = [RandomAccessFilter, ConditionalRandomAccess]
 plants = pytest.mark.parametrize("shape", PLANTS.values(), ids=PLANTS)
 
 
+class Seen(Observer):
+    """Keeps what an estimator says after each measurement."""
+
+    def __init__(self, nx: int, runs: int) -> None:
+        self.shape, self.means, self.covariances = (nx, nx, runs), list[Any](), list[Any]()
+
+    def updated(self, step: Any, event: int, estimate: Any) -> None:
+        self.means.append(estimate.mean.copy())
+        self.covariances.append(np.broadcast_to(estimate.covariance, self.shape).copy())
+
+
 def outputs(setting: LinearSystem, kind: type[Any], runs: range | list[int], seed: int = 1) -> tuple[Any, Any, Any]:
     """Means (K, nx, S), covariances (K, nx, nx, S) and the world of a drive."""
     streams = Streams(seed, "trial", "default", runs)
     world = setting.world(streams)
     estimator, model = prepare(setting, kind, {}, {}, world.initial_mean)
-    means, covariances = [], []
-
-    def watch(k: int, estimate: Any, step: Any) -> None:
-        means.append(estimate.mean.copy())
-        covariances.append(np.broadcast_to(estimate.covariance, (model.nx, model.nx, len(streams.runs))).copy())
-
-    driven = drive(setting, world, estimator, model, streams("estimator", "trial"), watch)
-    assert (driven.scored.status == 0).all()
-    return np.array(means), np.array(covariances), world
+    seen = Seen(model.nx, len(streams.runs))
+    estimator.start(model, len(streams.runs), streams("estimator", "trial"))
+    assert len([*Loop(world, estimator, seen).steps()]) == world.steps and not estimator.status.any()
+    return np.array(seen.means), np.array(seen.covariances), world
 
 
 def textbook(setting: LinearSystem, world: Any, run: int, conditional: bool) -> tuple[Any, Any]:

@@ -124,8 +124,9 @@ def test_stopping_position_error_is_the_final_displacement_error() -> None:
     estimator, model = prepare(chosen, KnownParameterKalman, {}, {}, world.initial_mean)
     errors = np.full((world.steps, 8), np.nan)
 
-    def watch(k: int, estimate: Any, step: Any) -> None:
-        errors[k] = estimate.mean[0] - step.truth[0]
+    def watch(stretch: Any) -> None:
+        kept = slice(stretch.count)
+        errors[stretch.places[kept]] = stretch.vector[kept, 0] - stretch.truth[kept, 0]
 
     scored = drive(chosen, world, estimator, model, source("estimator", "x"), watch).scored
     last = world.active.sum(axis=0) - 1

@@ -1,0 +1,165 @@
+"""Some steps of a drive in a row, copied as they come, so that scores take up many in one call.
+
+Of a claimed matrix only its diagonal and the quadratic form of the error are kept: they are all that scores ask."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...estimators.interface import Estimate, misshapen
+from ...estimators.kernels.core import kernel
+from ...scenarios.arrays import Array, Index, Mask
+from ...scenarios.world import Step
+from .kernels import has_gaps, quadratic_forms
+
+ROOM, LONGEST = 1 << 16, 64
+"""How many numbers are kept at the most, and how many steps; single steps of many runs are not even copied."""
+
+
+class Claims:
+    """What a claimed matrix (n, n, S or 1) says of B steps: diagonal (B, n, S) and form (B, S), e' M^-1 e in the
+    leading `states` that the truth has; failed (B, S): the matrix is indefinite or not finite."""
+
+    def __init__(self, room: int, matrix: Array, truth: int, runs: int) -> None:
+        self.states = min(len(matrix), truth)
+        self.diagonal, self.form = np.empty((room, len(matrix), runs)), np.empty((room, runs))
+        self.failed = np.zeros((room, runs), dtype=bool)
+
+    def take(self, b: int, vector: Array, truth: Array, gaps: bool, matrix: Any) -> None:
+        """Step b."""
+        whole, n = np.ascontiguousarray(matrix), self.states
+        part = whole if len(whole) == n else np.ascontiguousarray(matrix[:n, :n])
+        _claim(vector, truth, gaps, whole, part, self.diagonal[b], self.form[b], self.failed[b])
+
+
+class Stretch:
+    """The latest steps of S runs. places (B,): which steps of the world they are; vector (B, n, S): the mean, then the
+    parameters, then the truth of what is not estimated; estimated: how many elements are; truth (B, nt, S), NaN where
+    unknown; gaps (B,): whether it is anywhere; length, active (B, S). scored (B, nt, S), window (B, S), reference
+    (B, 2, S), bound (B, S or 1), diversity (B, S): None where there is none. All of them up to `count`, for reading."""
+
+    def __init__(self, runs: int, nx: int) -> None:
+        self.runs, self.nx, self.count, self.room = runs, nx, 0, 0
+        self.known: Estimate | None = None
+        self.form, self.around = tuple[object, ...](), tuple[object, ...]()
+        self.covariance: Claims | None = None
+        self.ellipsoid: Claims | None = None
+
+    @property
+    def full(self) -> bool:
+        return self.count == self.room
+
+    def take(self, k: int, estimate: Estimate, step: Step) -> bool:
+        """Keep step k; False, and nothing happens, where it has arrays of other shapes than those before it."""
+        if estimate is not self.known:
+            if _form(estimate) != self.form:
+                return False
+            self.known = estimate
+        if _around(step) != self.around:
+            return False
+        b, own = self.count, len(estimate.mean)
+        if self.room == 1:  # no copy of many runs: a look at the arrays themselves
+            mean, truth = np.ascontiguousarray(estimate.mean), np.ascontiguousarray(step.truth)
+            if self.vector.shape[1] > own:
+                parameter = () if estimate.parameter is None else (estimate.parameter,)
+                mean = np.concatenate([mean, *parameter, truth[self.estimated:]])
+            self.vector, self.truth = mean[None], truth[None]
+        else:
+            self.vector[b, :own], self.truth[b] = estimate.mean, step.truth
+            if self.vector.shape[1] > own:
+                if estimate.parameter is not None:
+                    self.vector[b, own:self.estimated] = estimate.parameter
+                self.vector[b, self.estimated:] = step.truth[self.estimated:]
+        self.count = b + 1
+        vector, truth = self.vector[b], self.truth[b]
+        self.gaps[b] = gaps = has_gaps(truth)
+        self.places[b], self.active[b], self.length[b] = k, step.active, step.length
+        if self.scored is not None:
+            self.scored[b] = step.scored
+        if self.reference is not None:
+            self.reference[b] = step.reference
+        if self.window is not None:
+            self.window[b] = step.window
+        if self.covariance is not None:
+            self.covariance.take(b, vector, truth, gaps, estimate.covariance)
+        if self.ellipsoid is not None:
+            self.ellipsoid.take(b, vector, truth, gaps, estimate.ellipsoid)
+        if self.bound is not None:
+            self.bound[b] = estimate.bound
+        if self.diversity is not None:
+            self.diversity[b] = estimate.diversity
+        return True
+
+    def from_place(self, k: int) -> slice:
+        """The steps kept from the world's step k on."""
+        return slice(int(np.searchsorted(self.places[:self.count], k)), self.count)
+
+    def renew(self, estimate: Estimate, step: Step) -> None:
+        """Give up what is kept and make room for steps like this. Raises TypeError for a malformed estimate."""
+        runs, nt = self.runs, len(step.truth)
+        wrong = misshapen(estimate, self.nx, runs, nt - self.nx)
+        if wrong:
+            raise TypeError(f"estimate(): {wrong}")
+        self.count, self.known, self.form, self.around = 0, estimate, _form(estimate), _around(step)
+        self.estimated = len(estimate.mean) + (0 if estimate.parameter is None else len(estimate.parameter))
+        nv = max(self.estimated, nt)
+        claims = sum(len(matrix) + 1 for matrix in (estimate.covariance, estimate.ellipsoid) if matrix is not None)
+        self.room = room = max(1, min(LONGEST, ROOM // ((nv + nt + 2 + claims) * runs)))
+
+        def like(value: object, *shape: int, kind: type = float) -> Any:
+            return None if value is None else np.empty((room, *shape), dtype=kind)
+
+        self.vector: Array = np.empty((room, nv, runs))
+        self.truth: Array = np.empty((room, nt, runs))
+        self.places: Index = np.empty(room, dtype=np.int64)
+        self.gaps: Mask = np.zeros(room, dtype=bool)
+        self.active: Mask = np.empty((room, runs), dtype=bool)
+        self.length: Array = np.empty((room, runs))
+        self.scored: Mask | None = like(step.scored, nt, runs, kind=bool)
+        self.window: NDArray[np.int16] | None = like(step.window, runs, kind=np.int16)
+        self.reference: Array | None = like(step.reference, 2, runs)
+        self.bound: Array | None = like(estimate.bound, 0 if estimate.bound is None else len(estimate.bound))
+        self.diversity: Array | None = like(estimate.diversity, runs)
+        self.covariance, self.ellipsoid = (None if matrix is None else Claims(room, matrix, nt, runs)
+                                           for matrix in (estimate.covariance, estimate.ellipsoid))
+
+
+def _form(estimate: Estimate) -> tuple[object, ...]:
+    """Shapes and types of an estimate's arrays."""
+    return tuple([None if value is None else (getattr(value, "shape", None), getattr(value, "dtype", None))
+                  for value in (estimate.mean, estimate.covariance, estimate.parameter, estimate.ellipsoid,
+                                estimate.bound, estimate.diversity)])
+
+
+def everything(count: int) -> Mask:
+    """What stands for `Stretch.scored` where all elements of all steps count, (count, 0, 0)."""
+    return np.zeros((count, 0, 0), dtype=bool)
+
+
+def _around(step: Step) -> tuple[object, ...]:
+    """What a step has besides."""
+    return step.truth.shape, step.scored is None, step.window is None, step.reference is None
+
+
+@kernel
+def _claim(vector, truth, gaps, whole, part, diagonal, form, failed):
+    """diagonal (m, S) of `whole` (m, m, S or 1), and of its leading `part` (n, n, S or 1) the form of the error, which
+    is none where the truth is unknown, and whether it failed."""
+    live = np.ones(form.shape[0])
+    for i in range(diagonal.shape[0]):
+        source, to = whole[i, i], diagonal[i]
+        for s in range(to.shape[0]):
+            to[s] = source[0 if source.shape[0] == 1 else s]
+    for s in range(failed.shape[0]):
+        failed[s] = False
+    there = truth
+    if gaps:
+        there = truth.copy()
+        for i in range(part.shape[0]):
+            for s in range(form.shape[0]):
+                if there[i, s] != there[i, s]:
+                    there[i, s] = vector[i, s]
+    quadratic_forms(vector, there, part, live, form, failed)
