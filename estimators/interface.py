@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from ..scenarios.arrays import Array, Mask
 from ..scenarios.errors import Unsupported
-from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .memento import Memento
@@ -71,6 +71,31 @@ class Innovation(NamedTuple):
     residual: Array | None = None
     variance: Array | None = None
     log_likelihood: Array | None = None
+
+
+class Walk(NamedTuple):
+    """Estimates after each of B measurements: mean (B, nx, S), covariance (B, n, n, S), and of the innovations what
+    `Innovation` has, (B, ..) each. The arrays may be reused."""
+
+    mean: Array
+    covariance: Array
+    residual: Array | None = None
+    variance: Array | None = None
+    log_likelihood: Array | None = None
+
+
+class Room:
+    """Arrays for the walks of an estimator, made once: `of` gives B rows of the shapes asked for."""
+
+    def __init__(self) -> None:
+        self.kept: dict[str, Array] = {}
+
+    def of(self, steps: int, **shapes: tuple[int, ...]) -> list[Array]:
+        """Arrays (B, *shape), by name, with what was in them."""
+        for name, shape in shapes.items():
+            if name not in self.kept or len(self.kept[name]) < steps:
+                self.kept[name] = np.zeros((steps, *shape))
+        return [self.kept[name][:steps] for name in shapes]
 
 
 def misshapen(estimate: Estimate, nx: int, runs: int, parameters: int) -> str | None:
@@ -189,6 +214,11 @@ class Estimator(ABC):
         """Use the elements that were received; the others are not to be read. One call for each stamp and event.
 
         Returns the innovation where there is one; it is read at once, so its arrays may be reused."""
+
+    def walk(self, course: Course) -> Walk | None:
+        """The same as `predict` and `update` step by step, to the bit, by those that go a course in compiled code.
+        None, and nothing happens, by others."""
+        return None
 
     @abstractmethod
     def estimate(self) -> Estimate:

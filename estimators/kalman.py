@@ -10,12 +10,13 @@ import numpy as np
 
 from ..scenarios.arrays import Array
 from ..scenarios.compiled import Compiled
-from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Innovation, Status, flag
+from .interface import Estimate, Estimator, Innovation, Room, Status, Walk, flag
 from .kernels.core import congruence, extended_predict, predict
 from .kernels.kalman import kalman_update, shared_kalman_update
+from .kernels.walks import walk_kalman
 
 SINGULAR_INNOVATION = "an innovation covariance was not positive definite"
 
@@ -41,7 +42,7 @@ class ExtendedKalman(Estimator):
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._covariance = np.array(model.initial_covariance, dtype=float, order="C")
         self._estimate = Estimate(self._mean, covariance=self._covariance)
-        self._failed = np.zeros(runs, dtype=bool)
+        self._failed, self._room = np.zeros(runs, dtype=bool), Room()
         self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))
         self._shared_variance = np.zeros((model.ny, 1))
         self._innovation = Innovation(self._residual, self._variance)
@@ -85,6 +86,19 @@ class ExtendedKalman(Estimator):
         if update(x, self._covariance, y, predicted, received, h, r, self._residual, variance, self._failed):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
         return Innovation(self._residual, variance) if shared else self._innovation
+
+    def walk(self, course: Course) -> Walk | None:
+        whole = self.model.compiled
+        if whole is None or type(self) is not ExtendedKalman:
+            return None
+        self._expand()
+        (nx, runs), ny = self._mean.shape, self.model.ny
+        out = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
+                            variance=(ny, runs))
+        if walk_kalman(*whole[:6], whole.noise, np.full(runs, course.period), course.u, course.y, course.received,
+                       course.variance, self._mean, self._covariance, self._failed, *out):
+            flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
+        return Walk(*out)
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

@@ -10,11 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from ..scenarios.arrays import Array
+from ..scenarios.compiled import call
 from ..scenarios.errors import Unsupported
-from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Innovation, Parameters
+from .interface import Estimate, Estimator, Innovation, Parameters, Room, Walk
+from .kernels.core import kernel
+from .kernels.walks import noises
 
 
 class RelocationParameters(Parameters):
@@ -52,7 +55,7 @@ class Relocation(Estimator):
         self.rows = [model.measurements.index(name) for name in self.parameters.by]
         self._mean = np.array(model.initial_mean, dtype=float)
         self._fixed = np.repeat(model.initial_covariance[0, 0], runs // model.initial_covariance.shape[2])
-        self._gone = np.zeros(runs)
+        self._gone, self._room = np.zeros(runs), Room()
         self._covariance = np.empty((1, 1, runs))
 
     def predict(self, u: Array, interval: Interval) -> None:
@@ -72,6 +75,16 @@ class Relocation(Estimator):
             self._gone = np.where(got, 0.0, self._gone)
         return None
 
+    def walk(self, course: Course) -> Walk | None:
+        whole = self.model.compiled
+        if whole is None or type(self) is not Relocation:
+            return None
+        mean, covariance = self._room.of(len(course.y), mean=self._mean.shape, covariance=(1, 1, self.runs))
+        _walk(whole.transition, whole.data, whole.noise, np.full(self.runs, course.period), course.u, course.y,
+              course.received, course.variance, np.array(self.rows), self.parameters.scale, self._mean, self._fixed,
+              self._gone, mean, covariance)
+        return Walk(mean, covariance)
+
     def estimate(self) -> Estimate:
         self._covariance[0, 0] = self._fixed + (self.parameters.scale * self._gone) ** 2
         return Estimate(self._mean, covariance=self._covariance)
@@ -81,3 +94,26 @@ class Relocation(Estimator):
 
     def restore(self, snapshot: Any) -> None:
         self._mean, self._fixed, self._gone = (part.copy() for part in snapshot)
+
+
+@kernel
+def _walk(f, data, noise, seconds, u, y, received, variance, rows, scale, mean, fixed, gone, means, covariances):
+    """Over whole periods: mean (nx, S), fixed, gone (S,) in place; u, y, received, variance (B, .., S) as `Course`."""
+    (nx, runs), ny = mean.shape, y.shape[1]
+    moved, r = np.empty((nx, runs)), np.zeros((ny, ny, runs))
+    for b in range(y.shape[0]):
+        call(f, mean, u[b], seconds, data, 1, runs, runs, moved)
+        noises(variance[b], noise, 0, r)
+        for s in range(runs):
+            gone[s] += abs(moved[0, s] - mean[0, s])
+        for i in range(nx):
+            for s in range(runs):
+                mean[i, s] = moved[i, s]
+        for row in rows:
+            for s in range(runs):
+                if received[b, row, s]:
+                    mean[0, s], fixed[s], gone[s] = y[b, row, s], r[row, row, s], 0.0
+        for s in range(runs):
+            far = scale * gone[s]
+            covariances[b, 0, 0, s] = fixed[s] + far * far
+        means[b] = mean

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -61,6 +61,23 @@ def address(function: Callable[..., int]) -> int:
     """Where the machine code of a function of `SIGNATURE` is."""
     code: Any = cfunc(SIGNATURE, cache=True, error_model="numpy")(function)
     return int(code.address)
+
+
+class WholeSteps(NamedTuple):
+    """A design model over whole sampling periods, in machine code: functions of `SIGNATURE` by address, those of the
+    measurement of x alone: out (ny, points, stride), (ny, nx, stride). All take `data`; Q (nx, nx, 1).
+
+    noise (3, ny): R of each element, uncorrelated: its variance where sensors tell none, a factor on either, and what
+    it is whatever they tell (NaN: nothing). of: the design model's functions that all this stands for."""
+
+    transition: int
+    jacobian: int
+    measurement: int
+    measurement_jacobian: int
+    data: Array
+    Q: Array
+    noise: Array
+    of: tuple[object, ...]
 
 
 def _call(typingctx: Any, address: Any, x: Any, u: Any, seconds: Any, data: Any, points: Any, width: Any, stride: Any,

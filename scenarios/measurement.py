@@ -66,6 +66,26 @@ class Measurement(NamedTuple):
     covariance: Array | None = None
 
 
+class Course(NamedTuple):
+    """Whole sampling periods in a row, with one measurement at the end of each: B intervals and measurements at once,
+    for estimators that go them in compiled code.
+
+    step: the first one leads to; period s. u (B, nu, S), y, received (B, ny, S); variance
+    (B, ny, S) that sensors tell of their elements, uncorrelated, NaN where they do not."""
+
+    step: int
+    period: float
+    u: Array
+    y: Array
+    received: Mask
+    variance: Array
+
+    @property
+    def times(self) -> Array:
+        """Of the measurements, s, (B,)."""
+        return np.arange(self.step - 1, self.step - 1 + len(self.y), dtype=np.float64) * self.period + self.period
+
+
 def untold(step: int, ny: int) -> Measurement:
     """A measurement of one run at a step with nothing told: what to ask a model's own R with."""
     return Measurement(np.zeros((ny, 1)), np.ones((ny, 1), dtype=bool), step)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .arrays import Array, read_only
-from .compiled import Compiled, affine
+from .compiled import Compiled, WholeSteps, affine
 from .densities import Densities
 from .errors import InputError, Unsupported
 from .machine_code import njit
@@ -142,6 +142,7 @@ class DesignModel:
     measurement_covariance(measurement): (ny, ny, S or 1), PD: what the sensors tell, else the model's own (`told`).
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
+    whole: the same for whole sampling periods in machine code (`compiled`), where the setting gives that.
     densities: noise that is not Gaussian, for particle filters; its moments are those of the covariances.
     appended: how many states stand behind the setting's own (`augmented`); those are not scored and steer nothing.
     linear_measurement: promises measurement(x, step) = H(step) x + constant, with one measurement_jacobian for every x,
@@ -172,6 +173,7 @@ class DesignModel:
     appended: int = 0
     linear_measurement: bool = False
     densities: Densities | None = None
+    whole: WholeSteps | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError for functions of the first edition, which took a step and a portion of it."""
@@ -183,6 +185,13 @@ class DesignModel:
                     "interval.depart for k; measurement_covariance(measurement) likewise, with measurement.step for k")
         for name in ("initial_mean", "initial_covariance"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def compiled(self) -> WholeSteps | None:
+        """`whole`, where it stands for the functions that this model has."""
+        own = (self.transition, self.transition_jacobian, self.measurement, self.measurement_jacobian,
+               self.process_covariance, self.measurement_covariance)
+        return self.whole if self.whole is not None and self.whole.of == own else None
 
     @property
     def nx(self) -> int:

@@ -7,14 +7,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import InitVar, dataclass, field, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import Array, Index, Mask, read_only
 from .errors import InputError
-from .measurement import PerRun
+from .measurement import Course, PerRun
 
 
 @dataclass(slots=True)
@@ -70,6 +70,18 @@ class Step:
         return Step(**{**parts, **copies, "events": ()})
 
 
+class Straight(NamedTuple):
+    """Steps of an open-loop world from k on that are whole periods with one measurement at the end, with the same runs
+    under way: what estimators are told of them, and the rest of `Step`, of B steps each; `last` is the last one."""
+
+    course: Course
+    truth: Array
+    active: Mask
+    scored: Mask | None
+    reference: Array | None
+    last: Step
+
+
 class World(Protocol):
     """A batch of runs being simulated. `step(k, mean)` is called for k = 0, 1, .., steps - 1, in order.
 
@@ -98,6 +110,9 @@ class World(Protocol):
     def step(self, k: int, mean: Array) -> Step:
         """What happens on the way to instant k."""
         ...
+
+    # Worlds in open loop may have `straight(k, most)`: the steps from k on, at most so many, that are `Straight`; None
+    # where there are none.
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...estimators.interface import Estimate, Estimator, Innovation
+from ...estimators.interface import Estimate, Estimator, Innovation, Walk
 from ...estimators.late import for_late
 from ...scenarios.arrays import Array
 from ...scenarios.measurement import Measurement
@@ -17,7 +17,7 @@ from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from ...scenarios.schema import Augment
 from ...scenarios.setting import Setting
-from ...scenarios.world import Step, World, step_times
+from ...scenarios.world import Step, Straight, World, step_times
 from ..scoring.faults import FaultScores
 from ..scoring.floor import Floor, Riccati, basis
 from ..scoring.innovations import InnovationScore
@@ -53,7 +53,8 @@ class _Scoring(Observer):
         score = setting.config.score
         self.skip = int(np.searchsorted(step_times(world), score.skip - 1e-9))
         self.runs, self.watch, self.seconds = world.initial_mean.shape[1], watch, 0.0
-        self.stretch, self.faulty = Stretch(self.runs, model.own), bool(setting.config.faults)
+        self.walks = not setting.config.faults and not world.closed_loop
+        self.stretch, self.faulty = Stretch(self.runs, model.own, 2 if self.walks else 1), bool(setting.config.faults)
         self.scorer = Scorer(setting.quantities(), self.runs, world.steps, self.skip, dict(score.divergence),
                              None if model.performance is None else model.performance[:, :model.own])
         self.innovations = InnovationScore(self.runs, world.steps, self.skip)
@@ -96,6 +97,20 @@ class _Scoring(Observer):
             self.riccati.take(k, step)
         self.seconds += perf_counter() - begun
 
+    def walked(self, k: int, straight: Straight, walk: Walk) -> None:
+        begun, stretch, done = perf_counter(), self.stretch, 0
+        while done < len(straight.truth):
+            taken = stretch.walk(k, straight, walk, done)
+            if not taken:
+                self.flush()
+                stretch.renew(Estimate(walk.mean[-1], covariance=walk.covariance[-1]), straight.last)
+            if stretch.full:
+                self.flush()
+            done += taken
+        self.innovations.walk(k, straight.active, straight.course.received, walk)
+        self.k = k + len(straight.truth) - 1
+        self.seconds += perf_counter() - begun
+
     def flush(self) -> None:
         """Score the steps that wait for it."""
         if self.stretch.count:
@@ -130,9 +145,11 @@ def drive(setting: Setting[Any], world: World, estimator: Estimator, model: Desi
     loop = Loop(world, estimator, scoring, own=model.own)
     active, counts, extremes = np.zeros(runs), dict[str, Array](), dict[str, Array]()
     status = estimator.status.copy()  # as each run ended: what becomes of it later hangs on its company
+    done = 0
     for step in loop.steps():
         scoring.k += 1
-        active += step.active
+        active += (scoring.k - done) * step.active
+        done = scoring.k
         np.copyto(status, estimator.status, where=step.active)
         for name, count in estimator.counters().items():
             np.copyto(counts.setdefault(name, np.zeros(runs)), count, where=step.active)

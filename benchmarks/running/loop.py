@@ -9,13 +9,15 @@ from time import perf_counter
 
 import numpy as np
 
-from ...estimators.interface import Estimate, Estimator, Innovation, cut
+from ...estimators.interface import Estimate, Estimator, Innovation, Walk, cut
 from ...estimators.late import Mailbox
 from ...scenarios.arrays import Mask, read_only
 from ...scenarios.errors import InputError
 from ...scenarios.measurement import Interval, Measurement, PerRun
-from ...scenarios.world import FIRST_EDITION, Event, Step, World
+from ...scenarios.world import FIRST_EDITION, Event, Step, Straight, World
 
+STRETCH = 16
+"""How many steps an estimator walks at once at the most: their covariances stay in the cache."""
 new = tuple.__new__
 """Makes a named tuple in half the time, which counts where one run goes a step in microseconds."""
 
@@ -23,12 +25,17 @@ new = tuple.__new__
 class Observer:
     """What is looked at on the way, outside the estimator's time. Arrays handed in may be reused by the next call.
 
+    walks: whole stretches may come at once, in `walked`, where only estimates after a step's measurement are asked for.
     every: `predicted` and `updated` come for each event, not for the last of a step alone; innovations: `measured` is
     called. Nothing that is not asked for is computed."""
 
     predicted_wanted = False
     updated_wanted = True
     every = False
+    walks = False
+
+    def walked(self, k: int, straight: Straight, walk: Walk) -> None:
+        """Estimates and innovations of steps from k on."""
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
         """The estimate before the measurement of an event."""
@@ -58,11 +65,26 @@ class Loop:
         self.seconds = perf_counter() - begun
 
     def steps(self) -> Iterator[Step]:
-        """All steps of the world, until no run is under way any more."""
-        for k in range(self.world.steps):
+        """All steps of the world, until no run is under way any more; of those walked at once the last alone."""
+        k, straight = 0, getattr(self.world, "straight", None)
+        walks = (self.observer.walks and self.observer.updated_wanted and straight is not None
+                 and self.estimator.lag == 0 and not self.estimator.oracle and self.own in (None, self.mean.shape[0]))
+        while k < self.world.steps:
+            ahead = straight(k, STRETCH) if walks and straight else None
+            if ahead is not None:
+                begun = perf_counter()
+                walk = self.estimator.walk(ahead.course)
+                self.seconds += perf_counter() - begun
+                walks = walk is not None
+                if walk is not None:
+                    self.observer.walked(k, ahead, walk)
+                    k += len(ahead.truth)
+                    yield ahead.last
+                    continue
             step = self.step(k)
             if step is None:
                 return
+            k += 1
             yield step
 
     def step(self, k: int) -> Step | None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...estimators.interface import Innovation
+from ...estimators.interface import Innovation, Walk
 from ...estimators.kernels.core import HALF_LOG_TURN, kernel
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.measurement import Measurement
@@ -28,19 +28,26 @@ class InnovationScore:
         """Take up the innovation of a measurement that was received in step k; runs not active (S,) do not count."""
         if k < self.skip:
             return
-        residual, variance, said = innovation
+        parts = [None if part is None else part[None] for part in innovation]
+        self._take(slice(k, k + 1), measurement.received[None], active[None], *parts)
+
+    def walk(self, k: int, active: Mask, received: Mask, walk: Walk) -> None:
+        """The same of steps from k on that were walked at once: active (B, S), received (B, ny, S)."""
+        first, end = max(self.skip - k, 0), k + len(received)
+        if first < len(received):
+            parts = [None if part is None else part[first:] for part in walk[2:]]
+            self._take(slice(k + first, end), received[first:], active[first:], *parts)
+
+    def _take(self, steps: slice, received: Mask, active: Mask, residual: Array | None, variance: Array | None,
+              said: Array | None) -> None:
         if residual is not None and variance is not None:
-            if len(self.before) != len(residual):
-                self.before = np.full(residual.shape, np.nan)
-            add_innovation(residual, variance, measurement.received, active, self.before, self.nis, self.elements,
-                           self.likelihood, self.likely, self.lag, self.square, self.pairs, self.curve[k], said is None)
+            if len(self.before) != residual.shape[1]:
+                self.before = np.full(residual.shape[1:], np.nan)
+            add_innovations(residual, variance, received, active, self.before, self.nis, self.elements, self.likelihood,
+                            self.likely, self.lag, self.square, self.pairs, self.curve[steps], said is None)
             self.told.update(("nis", "log-likelihood") if said is None else ("nis",))
         if said is not None:
-            got = measurement.received & active
-            count = got.sum(axis=0)
-            use = (count > 0) & ~np.isnan(said)
-            self.likelihood += np.where(use, said, 0.0)
-            self.likely += np.where(use, count, 0)
+            add_likelihoods(said, received, active, self.likelihood, self.likely)
             self.told.add("log-likelihood")
 
     def finish(self) -> dict[tuple[str, str], Array]:
@@ -58,29 +65,44 @@ class InnovationScore:
 
 
 @kernel
-def add_innovation(residual, variance, received, active, before, nis, elements, likelihood, likely, lag, square, pairs,
-                   curve, logarithms):
-    """Take up residual (ny, S), variance (ny, S or 1) where received (ny, S) and active (S,).
+def add_innovations(residual, variance, received, active, before, nis, elements, likelihood, likely, lag, square, pairs,
+                    curve, logarithms):
+    """Take up residual (B, ny, S), variance (B, ny, S or 1) where received (B, ny, S) and active (B, S).
 
     nis, elements, likelihood, likely, lag, square, pairs (S,); before (ny, S): each element's last standardised
-    residual, NaN before there is one. lag sums its products with the next, square its squares there. curve (2,): NIS
+    residual, NaN before there is one. lag sums its products with the next, square its squares there. curve (B, 2): NIS
     and elements over all runs."""
-    shared = variance.shape[1] == 1
-    for j in range(residual.shape[0]):
-        for s in range(residual.shape[1]):
-            if received[j, s] and active[s]:
-                v = variance[j, 0 if shared else s]
-                z = residual[j, s] / np.sqrt(v)
-                nis[s] += z * z
-                elements[s] += 1.0
-                curve[0] += z * z
-                curve[1] += 1.0
-                if logarithms:
-                    likelihood[s] -= 0.5 * (z * z + np.log(v)) + HALF_LOG_TURN
-                    likely[s] += 1.0
-                last = before[j, s]
-                if last == last:
-                    lag[s] += z * last
-                    square[s] += 0.5 * (z * z + last * last)
-                    pairs[s] += 1.0
-                before[j, s] = z
+    shared = variance.shape[2] == 1
+    for b in range(residual.shape[0]):
+        for j in range(residual.shape[1]):
+            for s in range(residual.shape[2]):
+                if received[b, j, s] and active[b, s]:
+                    v = variance[b, j, 0 if shared else s]
+                    z = residual[b, j, s] / np.sqrt(v)
+                    nis[s] += z * z
+                    elements[s] += 1.0
+                    curve[b, 0] += z * z
+                    curve[b, 1] += 1.0
+                    if logarithms:
+                        likelihood[s] -= 0.5 * (z * z + np.log(v)) + HALF_LOG_TURN
+                        likely[s] += 1.0
+                    last = before[j, s]
+                    if last == last:
+                        lag[s] += z * last
+                        square[s] += 0.5 * (z * z + last * last)
+                        pairs[s] += 1.0
+                    before[j, s] = z
+
+
+@kernel
+def add_likelihoods(said, received, active, likelihood, likely):
+    """likelihood, likely (S,) take up the log-likelihoods said (B, S), unless NaN, and the number of the elements that
+    were received (B, ny, S) by runs active (B, S)."""
+    for b in range(said.shape[0]):
+        for s in range(said.shape[1]):
+            count = 0.0
+            for j in range(received.shape[1]):
+                count += 1.0 if received[b, j, s] and active[b, s] else 0.0
+            if count > 0.0 and said[b, s] == said[b, s]:
+                likelihood[s] += said[b, s]
+                likely[s] += count

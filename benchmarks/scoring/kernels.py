@@ -312,21 +312,26 @@ def add_windows(vector, truth, active, window, index, weight, owner, share, squa
     """Add the squared errors of steps b to the window (B, S) that each active run is in (-1: none) where all elements
     of a quantity are known (not NaN). Element i of the parts is index[i] of the truth, weight[i] of quantity owner[i],
     its square over share[i]. squared, steps (nq, nw, S)."""
+    nq, runs = squared.shape[0], window.shape[1]
+    sums, known = np.empty((nq, runs)), np.empty((nq, runs))
     for b in range(window.shape[0]):
-        for s in range(window.shape[1]):
+        for q in range(nq):
+            for s in range(runs):
+                sums[q, s], known[q, s] = 0.0, 1.0
+        for i in range(index.shape[0]):
+            told, there, total, fine = vector[b, index[i]], truth[b, index[i]], sums[owner[i]], known[owner[i]]
+            w, over = weight[i], share[i]
+            for s in range(runs):
+                error = w * (told[s] - there[s])
+                total[s] += error * error / over
+                fine[s] *= 1.0 if abs(there[s]) < np.inf else 0.0
+        for s in range(runs):
             w = window[b, s]
             if active[b, s] and w >= 0:
-                i = 0
-                while i < index.shape[0]:
-                    q, first, known = owner[i], i, True
-                    while i < index.shape[0] and owner[i] == q:
-                        known &= np.isfinite(truth[b, index[i], s])
-                        i += 1
-                    if known:
+                for q in range(nq):
+                    if known[q, s] > 0.0:
                         steps[q, w, s] += 1.0
-                        for j in range(first, i):
-                            error = weight[j] * (vector[b, index[j], s] - truth[b, index[j], s])
-                            squared[q, w, s] += error * error / share[j]
+                        squared[q, w, s] += sums[q, s]
 
 
 STANDING, COASTING = 0.05, 0.1

@@ -15,24 +15,21 @@ from ...scenarios.machine_code import njit
 @njit(cache=True)
 def keep_errors(vector, truth, active, scored, diagonal, places, estimated, index, weight, error, true, counts,
                 claim):  # pyright: ignore
-    """error, true, counts, claim (K, n, S) := of steps b, which are places[b], of the elements `index` of the truth,
+    """error, true, counts, claim (n, S, K) := of steps b, which are places[b], of the elements `index` of the truth,
     times their weight: error of the vector (B, n, S), the truth, whether it counts (scored (B, 0, 0): all do), and one
     standard deviation by a matrix's diagonal (B, m, S), where it has that element. Nothing is written of elements
     beyond those `estimated`."""
-    for b in range(vector.shape[0]):
-        k = places[b]
-        for q in range(index.shape[0]):
-            i, w = index[q], weight[q]
-            if i >= estimated:
-                continue
+    for q in range(index.shape[0]):
+        i, w = index[q], weight[q]
+        if i < estimated:
             for s in range(active.shape[1]):
-                error[k, q, s], true[k, q, s] = w * (vector[b, i, s] - truth[b, i, s]), w * truth[b, i, s]
-                counts[k, q, s] = active[b, s] and not np.isnan(truth[b, i, s]) and (
-                    scored.shape[1] == 0 or scored[b, i, s])
-            if i < diagonal.shape[1]:
-                for s in range(active.shape[1]):
-                    variance = diagonal[b, i, s]
-                    claim[k, q, s] = abs(w) * np.sqrt(0.0 if variance < 0.0 else variance)
+                for b in range(vector.shape[0]):
+                    k, there = places[b], truth[b, i, s]
+                    error[q, s, k], true[q, s, k] = w * (vector[b, i, s] - there), w * there
+                    counts[q, s, k] = active[b, s] and there == there and (scored.shape[1] == 0 or scored[b, i, s])
+                    if i < diagonal.shape[1]:
+                        variance = diagonal[b, i, s]
+                        claim[q, s, k] = abs(w) * np.sqrt(0.0 if variance < 0.0 else variance)
 
 
 @njit(cache=True)
@@ -57,21 +54,22 @@ def shares(error, limit, counts):  # pyright: ignore
     return inside, use, over, under
 
 
-def _percentile(values: Array, percent: float) -> float:
-    """Of sorted values, by linear interpolation between order statistics."""
-    place = percent / 100.0 * (len(values) - 1)
-    low = int(np.floor(place))
-    high = min(low + 1, len(values) - 1)
-    return float(values[low] + (place - low) * (values[high] - values[low]))
+def _percentiles(values: Array, percents: Sequence[float]) -> list[float]:
+    """Of values, by linear interpolation between order statistics."""
+    places = [percent / 100.0 * (len(values) - 1) for percent in percents]
+    pairs = [(int(np.floor(place)), min(int(np.floor(place)) + 1, len(values) - 1)) for place in places]
+    ordered = np.partition(values, sorted({place for pair in pairs for place in pair}))
+    return [float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
+            for place, (low, high) in zip(places, pairs, strict=True)]
 
 
 def percentiles(error: Array, counts: Mask, percents: Sequence[float]) -> Array:
     """Percentiles of |error| over the steps that count, (len(percents), S)."""
     out = np.full((len(percents), len(error)), np.nan)
     for r, row in enumerate(error):
-        values = np.sort(np.abs(row[counts[r]]))
-        if len(values) and np.isfinite(values[-1]):
-            out[:, r] = [_percentile(values, percent) for percent in percents]
+        values = np.abs(row[counts[r]])
+        if len(values) and np.isfinite(values).all():
+            out[:, r] = _percentiles(values, percents)
     return out
 
 
@@ -84,8 +82,8 @@ def claims(error: Array, claim: Array, counts: Mask, k: float) -> tuple[Array, A
             ratio = np.where(e == 0.0, 0.0, np.inf)
             np.divide(e, c, out=ratio, where=c > 0.0)
             inside[r] = np.count_nonzero(e <= k * c) / len(e)
-            median[r] = k * _percentile(np.sort(c), 50.0)
-            needed[r] = _percentile(np.sort(ratio), 99.0)
+            median[r] = k * _percentiles(c, (50.0,))[0]
+            needed[r] = _percentiles(ratio, (99.0,))[0]
     return inside, median, needed
 
 

@@ -22,7 +22,7 @@ DISTANCES = (10.0, 100.0, 1000.0)
 class RequirementScores:
     """Of one estimator on S runs; no requirements, no work and no memory.
 
-    Kept, (K, S) each: the error of every quantity asked about, the half-width claimed for it (one standard deviation,
+    Kept, (S, K) each: the error of every quantity asked about, the half-width claimed for it (one standard deviation,
     or the whole of a set), whether the step counts; the truth of each; distance since the last reference and the error
     of its place on the map."""
 
@@ -35,13 +35,12 @@ class RequirementScores:
         self.index = np.array([item.components[0][0] for item in self.quantities], dtype=np.int64)
         self.weight = np.array([item.components[0][1] for item in self.quantities], dtype=float)
         n = len(self.quantities)
-        shape = (steps if n else 0, n, runs)
+        shape = (n, runs, steps if n else 0)
         self.error, self.claim, self.truth = (np.full(shape, np.nan) for _ in range(3))
-        self.counts, self.active = np.zeros(shape, dtype=bool), np.zeros((shape[0], runs), dtype=bool)
+        self.counts, self.active = np.zeros(shape, dtype=bool), np.zeros(shape[1:], dtype=bool)
         referred = any(isinstance(item, Allowance) for item in requirements)
-        self.reference = np.full((shape[0] if referred else 0, 2, runs), np.nan)
+        self.reference = np.full((2, *shape[1:]), np.nan) if referred else None
         self.sets = np.zeros(n, dtype=bool)
-        self.steps = 0
 
     def add(self, stretch: Stretch, skip: int) -> None:
         """Keep what steps from the world's step `skip` on say."""
@@ -49,7 +48,7 @@ class RequirementScores:
         if not self.quantities or take.start == take.stop:
             return
         places = stretch.places[take]
-        self.steps, self.active[places] = int(places[-1]) + 1, stretch.active[take]
+        self.active[:, places] = stretch.active[take].T
         claimed = stretch.covariance or stretch.ellipsoid
         scored = everything(stretch.count) if stretch.scored is None else stretch.scored
         diagonal = stretch.truth[:, :0] if claimed is None else claimed.diagonal
@@ -57,24 +56,22 @@ class RequirementScores:
                     places, stretch.estimated, self.index, self.weight, self.error, self.truth, self.counts, self.claim)
         if claimed is not None:
             self.sets[self.index < claimed.diagonal.shape[1]] = stretch.covariance is None
-        if len(self.reference) and stretch.reference is not None:
-            self.reference[places] = stretch.reference[take]
+        if self.reference is not None and stretch.reference is not None:
+            self.reference[:, :, places] = stretch.reference[take].transpose(1, 2, 0)
 
     def finish(self) -> dict[Outcome, Array]:
         """{(metric, requirement or quantity, unit): (S,)}; NaN where nothing was claimed or nothing counts."""
         if not self.quantities:
             return {}
         out: dict[Outcome, Array] = {}
-        take = slice(0, self.steps)
         kept: dict[str, tuple[Array, Array, Array, Mask]] = {}
         for q, item in enumerate(self.quantities):
-            error, claim, truth = (np.ascontiguousarray(part[take, q].T)
-                                   for part in (self.error, self.claim, self.truth))
-            counts: Mask = np.ascontiguousarray(self.counts[take, q].T)
+            error, claim, truth = self.error[q], self.claim[q], self.truth[q]
+            counts: Mask = self.counts[q]
             kept[item.name] = error, claim, truth, counts
             found = percentiles(error, counts, PERCENTILES)
             out.update({(f"p{percent:.0f}", item.name, item.unit): found[i] for i, percent in enumerate(PERCENTILES)})
-            if len(self.reference):
+            if self.reference is not None:
                 drift = drifts(error, truth, counts, np.array(DISTANCES))
                 out.update({(f"change-{distance:.0f}m", item.name, item.unit): drift[i]
                             for i, distance in enumerate(DISTANCES) if item.unit == "m"})
@@ -88,7 +85,7 @@ class RequirementScores:
         """The columns of one requirement."""
         name = asked.name
         if isinstance(asked, Stop):
-            last = self.active[:self.steps].sum(axis=0) - 1
+            last = self.active.sum(axis=1) - 1
             final = np.abs(error[np.arange(self.runs), np.maximum(last, 0)])
             return {("kept", name, "1"): _known(final <= asked.within, final), ("error", name, unit): final}
         if isinstance(asked, Percentile):
@@ -103,7 +100,8 @@ class RequirementScores:
             points = np.array(asked.points)
             limit = np.interp(truth, points[:, 0], points[:, 1])
         else:
-            told, true = (np.ascontiguousarray(self.reference[:self.steps, i].T) for i in range(2))
+            assert self.reference is not None
+            told, true = self.reference
             away = truth - true
             error = error - (told - true)
             limit = asked.constant + asked.share * np.abs(away + error if asked.s == "measured" else away)

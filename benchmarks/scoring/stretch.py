@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...estimators.interface import Estimate, misshapen
+from ...estimators.interface import Estimate, Walk, misshapen
 from ...estimators.kernels.core import kernel
 from ...scenarios.arrays import Array, Index, Mask
-from ...scenarios.world import Step
+from ...scenarios.world import Step, Straight
 from .kernels import has_gaps, quadratic_forms
 
 ROOM, LONGEST = 1 << 16, 64
@@ -28,11 +28,11 @@ class Claims:
         self.diagonal, self.form = np.empty((room, len(matrix), runs)), np.empty((room, runs))
         self.failed = np.zeros((room, runs), dtype=bool)
 
-    def take(self, b: int, vector: Array, truth: Array, gaps: bool, matrix: Any) -> None:
-        """Step b."""
-        whole, n = np.ascontiguousarray(matrix), self.states
-        part = whole if len(whole) == n else np.ascontiguousarray(matrix[:n, :n])
-        _claim(vector, truth, gaps, whole, part, self.diagonal[b], self.form[b], self.failed[b])
+    def take(self, steps: slice, vector: Array, truth: Array, gaps: Mask, matrices: Array) -> None:
+        """Matrices (B, n, n, S or 1) of some steps; vector, truth, gaps of the same."""
+        whole, n = np.ascontiguousarray(matrices), self.states
+        part = whole if whole.shape[1] == n else np.ascontiguousarray(matrices[:, :n, :n])
+        _claim(vector, truth, gaps, whole, part, self.diagonal[steps], self.form[steps], self.failed[steps])
 
 
 class Stretch:
@@ -41,8 +41,9 @@ class Stretch:
     unknown; gaps (B,): whether it is anywhere; length, active (B, S). scored (B, nt, S), window (B, S), reference
     (B, 2, S), bound (B, S or 1), diversity (B, S): None where there is none. All of them up to `count`, for reading."""
 
-    def __init__(self, runs: int, nx: int) -> None:
-        self.runs, self.nx, self.count, self.room = runs, nx, 0, 0
+    def __init__(self, runs: int, nx: int, least: int = 1) -> None:
+        """least: room for so many steps at the least; where it is for one, that is not even copied."""
+        self.runs, self.nx, self.least, self.count, self.room = runs, nx, least, 0, 0
         self.known: Estimate | None = None
         self.form, self.around = tuple[object, ...](), tuple[object, ...]()
         self.covariance: Claims | None = None
@@ -74,24 +75,47 @@ class Stretch:
                     self.vector[b, own:self.estimated] = estimate.parameter
                 self.vector[b, self.estimated:] = step.truth[self.estimated:]
         self.count = b + 1
-        vector, truth = self.vector[b], self.truth[b]
-        self.gaps[b] = gaps = has_gaps(truth)
+        this = slice(b, b + 1)
+        vector, truth, gaps = self.vector[this], self.truth[this], self.gaps[this]
+        gaps[0] = has_gaps(truth[0])
         self.places[b], self.active[b], self.length[b] = k, step.active, step.length
         if self.scored is not None:
             self.scored[b] = step.scored
         if self.reference is not None:
             self.reference[b] = step.reference
-        if self.window is not None:
+        if self.window is not None and step.window is not None:
             self.window[b] = step.window
-        if self.covariance is not None:
-            self.covariance.take(b, vector, truth, gaps, estimate.covariance)
-        if self.ellipsoid is not None:
-            self.ellipsoid.take(b, vector, truth, gaps, estimate.ellipsoid)
+        for claims, matrix in ((self.covariance, estimate.covariance), (self.ellipsoid, estimate.ellipsoid)):
+            if claims is not None and matrix is not None:
+                claims.take(this, vector, truth, gaps, matrix[None])
         if self.bound is not None:
             self.bound[b] = estimate.bound
         if self.diversity is not None:
             self.diversity[b] = estimate.diversity
         return True
+
+    def walk(self, k: int, straight: Straight, walk: Walk, done: int) -> int:
+        """Keep steps that were walked at once, of which `done` are kept already: how many there is room for. None, and
+        nothing happens, where they have arrays of other shapes than those before them."""
+        form = [(walk.mean.shape[1:], walk.mean.dtype), (walk.covariance.shape[1:], walk.covariance.dtype), *[None] * 4]
+        if tuple(form) != self.form or _around(straight.last) != self.around or self.covariance is None:
+            return 0
+        b, own, count = self.count, walk.mean.shape[1], min(len(straight.truth) - done, self.room - self.count)
+        this, part = slice(b, b + count), slice(done, done + count)
+        self.count = b + count
+        vector, truth, gaps = self.vector[this], self.truth[this], self.gaps[this]
+        truth[:] = straight.truth[part]
+        vector[:, :own] = walk.mean[part]
+        vector[:, own:] = truth[:, own:]
+        gaps[:] = [has_gaps(one) for one in truth] if has_gaps(truth.reshape(count, -1)) else False
+        self.places[this], self.active[this] = np.arange(k + done, k + done + count), straight.active[part]
+        self.length[this] = straight.last.length
+        if self.scored is not None and straight.scored is not None:
+            self.scored[this] = straight.scored[part]
+        if self.reference is not None and straight.reference is not None:
+            self.reference[this] = straight.reference[part]
+        self.covariance.take(this, vector, truth, gaps, walk.covariance[part])
+        return count
 
     def from_place(self, k: int) -> slice:
         """The steps kept from the world's step k on."""
@@ -107,7 +131,7 @@ class Stretch:
         self.estimated = len(estimate.mean) + (0 if estimate.parameter is None else len(estimate.parameter))
         nv = max(self.estimated, nt)
         claims = sum(len(matrix) + 1 for matrix in (estimate.covariance, estimate.ellipsoid) if matrix is not None)
-        self.room = room = max(1, min(LONGEST, ROOM // ((nv + nt + 2 + claims) * runs)))
+        self.room = room = max(self.least, min(LONGEST, ROOM // ((nv + nt + 2 + claims) * runs)))
 
         def like(value: object, *shape: int, kind: type = float) -> Any:
             return None if value is None else np.empty((room, *shape), dtype=kind)
@@ -146,20 +170,21 @@ def _around(step: Step) -> tuple[object, ...]:
 
 @kernel
 def _claim(vector, truth, gaps, whole, part, diagonal, form, failed):
-    """diagonal (m, S) of `whole` (m, m, S or 1), and of its leading `part` (n, n, S or 1) the form of the error, which
-    is none where the truth is unknown, and whether it failed."""
-    live = np.ones(form.shape[0])
-    for i in range(diagonal.shape[0]):
-        source, to = whole[i, i], diagonal[i]
-        for s in range(to.shape[0]):
-            to[s] = source[0 if source.shape[0] == 1 else s]
-    for s in range(failed.shape[0]):
-        failed[s] = False
-    there = truth
-    if gaps:
-        there = truth.copy()
-        for i in range(part.shape[0]):
-            for s in range(form.shape[0]):
-                if there[i, s] != there[i, s]:
-                    there[i, s] = vector[i, s]
-    quadratic_forms(vector, there, part, live, form, failed)
+    """Of steps b: diagonal (B, m, S) of `whole` (B, m, m, S or 1), and of its leading `part` (B, n, n, S or 1) the form
+    of the error, which is none where the truth is unknown, and whether it failed."""
+    live = np.ones(form.shape[1])
+    for b in range(form.shape[0]):
+        for i in range(diagonal.shape[1]):
+            source, to = whole[b, i, i], diagonal[b, i]
+            for s in range(to.shape[0]):
+                to[s] = source[0 if source.shape[0] == 1 else s]
+        for s in range(live.shape[0]):
+            failed[b, s] = False
+        there = truth[b]
+        if gaps[b]:
+            there = truth[b].copy()
+            for i in range(part.shape[1]):
+                for s in range(live.shape[0]):
+                    if there[i, s] != there[i, s]:
+                        there[i, s] = vector[b, i, s]
+        quadratic_forms(vector[b], there, part[b], live, form[b], failed[b])

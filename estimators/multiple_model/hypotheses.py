@@ -12,17 +12,20 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from ...scenarios.arrays import Array, read_only
 from ...scenarios.errors import Unsupported
-from ...scenarios.measurement import Interval, Measurement
+from ...scenarios.measurement import Course, Interval, Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from .. import mode_grid
-from ..interface import Estimate, Estimator, Innovation, Parameters, Status, flag
-from ..kalman import ExtendedKalman
+from ..interface import Estimate, Estimator, Innovation, Parameters, Room, Status, Walk, flag
+from ..kalman import SINGULAR_INNOVATION, ExtendedKalman
 from ..kernels.mixing import log_density, mix, moments, weigh
+from ..kernels.walks import walk_modes
 from ..outliers.base import Reading, ratio_limit
 from ..outliers.kernels import look
 from ..outliers.reopening import Memory, Reopening
 from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
+
+IMPOSSIBLE = "all modes became impossible"
 
 
 class HypothesesParameters(Parameters):
@@ -84,7 +87,7 @@ class InteractingModels(Estimator):
         self.bank.start(bank, self.m * runs, random)
         self.bank._expand()
         self.weight = np.repeat(np.asarray(model.modes.prior, dtype=float)[:, None], runs, axis=1)
-        self.lost = np.zeros(runs, dtype=bool)
+        self.lost, self._room = np.zeros(runs, dtype=bool), Room()
         self._mean, self._covariance = np.empty((model.nx, runs)), np.empty((model.nx, model.nx, runs))
         p = self.parameters
         rule = Reopening.model_validate({"reopen": "time", "after": p.after, "sensors": p.gate})
@@ -129,8 +132,26 @@ class InteractingModels(Estimator):
         total = log_density(innovation.residual, innovation.variance, np.ascontiguousarray(measurement.received))
         loglik = weigh(self.weight, total, heard, self.lost)
         if self.lost.any():
-            flag(self, self.lost, Status.failed, "all modes became impossible")
+            flag(self, self.lost, Status.failed, IMPOSSIBLE)
         return Innovation(log_likelihood=loglik)
+
+    def walk(self, course: Course) -> Walk | None:
+        each = [mode.model.compiled for mode in self.modes]
+        whole = each[0]
+        if whole is None or self._closed is not None or type(self) is not InteractingModels or any(
+                one is None or one.of[:-1] != whole.of[:-1] for one in each):
+            return None
+        noise = np.array([one.noise for one in each if one is not None])
+        bank, runs, nx = self.bank, self.runs, self.model.nx
+        mean, covariance, likelihood = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs),
+                                                     likelihood=(runs,))
+        if walk_modes(*whole[:6], noise, np.full(self.m * runs, course.period), self.power(np.asarray(1.0)), course.u,
+                      course.y, course.received, course.variance, bank._mean, bank._covariance, self.weight,
+                      bank._failed, self.lost, mean, covariance, likelihood):
+            flag(bank, bank._failed, Status.failed, SINGULAR_INNOVATION)
+        if self.lost.any():
+            flag(self, self.lost, Status.failed, IMPOSSIBLE)
+        return Walk(mean, covariance, log_likelihood=likelihood)
 
     def estimate(self) -> Estimate:
         moments(self.weight, self.bank._mean, self.bank._covariance, self._mean, self._covariance)

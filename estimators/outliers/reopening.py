@@ -64,6 +64,8 @@ class Memory:
         self.judged = _elements(asked, parameters.sensors, model) or list(range(model.ny))
         together = _elements("together", parameters.together, model)
         self._with = [np.array(together if j in together else [j]) for j in range(model.ny)]
+        self.is_judged = np.isin(np.arange(model.ny), self.judged)
+        self.together = np.array([[k in each for k in range(model.ny)] for each in self._with])
 
     def rejected(self, reading: Reading, outside: Mask) -> Mask:
         """Which of the readings (S,) outside the gate are rejected, all but where it stands open (`time`); that

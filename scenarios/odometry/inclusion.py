@@ -17,7 +17,7 @@ from ..measurement import Interval, Measurement
 from ..model import Inclusion
 from ..railway.dynamics import Slope, climbs
 from ..railway.odometer import INPUTS
-from ..railway.odometer.model import DISTANCE_A, DISTANCE_B, READING, SPEED_A, SPEED_B
+from ..railway.odometer.motion import DISTANCE_A, DISTANCE_B, READING, SPEED_A, SPEED_B
 from ..schema import Strict
 from ..strict import key
 

@@ -6,13 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Mask, read_only
+from ..arrays import Array, Index, Mask, read_only
+from ..measurement import Course
 from ..sensors.balise import Passages
-from ..world import Event, Step
+from ..world import Event, Step, Straight
 from .plant import Ride
 
 
@@ -97,6 +99,28 @@ class OdometryWorld:
         mean = np.zeros(self.truth.shape[1:])
         mean[0] = self.start
         return mean
+
+    @cached_property
+    def _ends(self) -> Index:
+        """Steps before which something changes: runs end, or a balise is read inside (K,), the world's end last."""
+        turns = np.flatnonzero((self.active[1:] != self.active[:-1]).any(axis=1)) + 1
+        return np.unique(np.concatenate([turns, np.fromiter(self.readings, dtype=np.int64), [self.steps]]))
+
+    @cached_property
+    def _heard(self) -> Mask:
+        """What arrives of runs under way (K, ny, S)."""
+        return self.received & self.active[:, None]
+
+    def straight(self, k: int, most: int) -> Straight | None:
+        """Steps between two balises."""
+        if k in self.readings or not self.active[k].any():
+            return None
+        end = min(k + most, int(self._ends[np.searchsorted(self._ends, k, side="right")]))
+        part = slice(k, end)
+        course = Course(k + 1, self.period, self.u[part], self.y[part], self._heard[part],
+                        self.variance[part])
+        return Straight(course, self.truth[part], self.active[part], self.scored[part], self.reference[part],
+                        self.step(end - 1, self.truth[end - 1]))
 
     def step(self, k: int, mean: Array) -> Step:
         ny, runs = self.y.shape[1:]

@@ -13,19 +13,27 @@ import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
 from ...arrays import Array, Index, Mask
+from ...compiled import WholeSteps
 from ...measurement import Interval, Measurement, told
 from ...model import DesignModel
 from ...schema import Strict
 from ...strict import key
 from ..dynamics import Slope
 from . import motion as compiled
-from .motion import BIAS, TRAVELLED, S, V
+from .motion import (
+    BEGINS,
+    BIAS,
+    DISTANCE_A,
+    DISTANCE_B,
+    EFFORT,
+    READING,
+    SPEED_A,
+    SPEED_B,
+    TRAVELLED,
+    S,
+    V,
+)
 
-INPUTS = ("reading", "effort", "begins", "distance-a", "distance-b", "speed-a", "speed-b")
-"""The inputs told of each step: the accelerometer's reading m/s^2 (the gradient's pull in it), what drives (> 0) or
-brakes, whether the wheels were read where the step begins, distance m by each wheel's count in the step, its mean speed
-of late m/s. A setting may have more behind them."""
-READING, EFFORT, BEGINS, DISTANCE_A, DISTANCE_B, SPEED_A, SPEED_B = range(7)
 PLACES = ("position", "balise", "gnss")
 """Measurements of the position; `wheel-..` is what a wheel has rolled since it was last read, m, the others speeds."""
 
@@ -137,24 +145,24 @@ class Odometer:
 
     def _counted(self, x: Array, u: Array, interval: Interval) -> Array:
         """Position and speed by the wheels' counts."""
-        out = np.array(x, dtype=float)
-        a, b, motion = u[SPEED_A], u[SPEED_B], self.told.motion
-        counted = np.asarray(u[DISTANCE_A]), np.asarray(u[DISTANCE_B])
-        if motion == "minmax":
-            effort = u[EFFORT]
-            first = np.where(effort < 0, a >= b, a <= b)
-            speed = np.where(effort == 0, 0.5 * (a + b), np.where(first, a, b))
-            distance = np.where(effort == 0, 0.5 * (counted[0] + counted[1]), np.where(first, *counted))
-        else:
-            speed, distance = (a, counted[0]) if motion == "wheel-a" else (b, counted[1])
-        if self._usual(interval):
-            out[0] += distance
-            out[1] = speed
-            return out
-        share, moves = np.asarray(interval.share, dtype=float), np.asarray(interval.length) > 0
-        out[0] = np.where(moves, out[0] + share * distance, out[0])
-        out[1] = np.where(moves, speed, out[1])
-        return out
+        points = np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], -1, x.shape[-1])
+        out, runs, u = np.empty_like(points), x.shape[-1], np.ascontiguousarray(u)
+        length, _ = self._clock(interval, runs)
+        share = np.array(np.broadcast_to(np.asarray(interval.share, dtype=float), (runs,)))
+        compiled.counted(points, u[EFFORT], u[DISTANCE_A:DISTANCE_B + 1], u[SPEED_A:SPEED_B + 1], self._motion, share,
+                         length, out)
+        return out.reshape(x.shape)
+
+    @property
+    def _motion(self) -> int:
+        """How wheels' counts move it, see `motion.counted`; -1 where they do not."""
+        return ("wheel-a", "wheel-b", "minmax").index(self.told.motion) if self.told.counting else -1
+
+    def _whole(self, functions: tuple[Any, ...], slipping: tuple[str, ...]) -> WholeSteps:
+        """These functions over whole periods, in machine code."""
+        data = compiled.packed(len(self.states), self.inputs, self._motion, self._rows, self.slope)
+        Q = np.zeros((2, 2, 1)) if self.told.counting else self._steady
+        return WholeSteps(*compiled.addresses(), data, Q, np.array(self._noise(slipping)), functions)
 
     def jacobian(self, x: Array, u: Array, interval: Interval) -> Array:
         """df/dx (nx, nx, S), (nx, nx, 1) over whole steps that all runs share."""
@@ -221,23 +229,26 @@ class Odometer:
         compiled.reading_jacobian(np.ascontiguousarray(x, dtype=float), self._rows, out)
         return out
 
+    def _noise(self, slipping: tuple[str, ...]) -> tuple[Array, Array, Array]:
+        """Of each sensor (ny,): its own variance where it tells none, a factor on either (of satellites the inflation),
+        and what it is whatever it tells (of slipping axles the mode's), NaN of others."""
+        names, slip = self.sensors, (self.told.slip.sd * self.period) ** 2
+        return (np.array([*self.deviations.values()], dtype=float) ** 2,
+                np.array([self.told.gnss_inflation**2 if name in ("gnss", "position") else 1.0 for name in names]),
+                np.array([slip if name in slipping else np.nan for name in names]))
+
     def noise(self, slipping: tuple[str, ...] = ()) -> Any:
         """R(measurement): as told; of slipping axles that of the mode, of satellites with the inflation."""
-        own = np.diag(np.array([*self.deviations.values()]) ** 2)[:, :, None]
-        plain = told(lambda step: own)
-        factor = {i: self.told.gnss_inflation**2 for i, name in enumerate(self.sensors) if name in ("gnss", "position")}
-        slip = {i: (self.told.slip.sd * self.period) ** 2 for i, name in enumerate(self.sensors) if name in slipping}
-
-        as_told = not slip and all(f == 1.0 for f in factor.values())
+        own, factor, fixed = self._noise(slipping)
+        untold = np.diag(own)[:, :, None]
+        plain, given = told(lambda step: untold), np.isfinite(fixed)[:, None]
+        if not given.any() and (factor == 1.0).all():
+            return plain
+        each, scale, instead = np.arange(len(own)), factor[:, None], fixed[:, None]
 
         def covariance(measurement: Measurement) -> Array:
-            R = plain(measurement)
-            if not as_told:
-                R = R.copy()
-                for i, f in factor.items():
-                    R[i, i] *= f
-                for i, variance in slip.items():
-                    R[i, i] = variance
+            R = np.array(plain(measurement))
+            R[each, each] = np.where(given, instead, scale * R[each, each])
             return R
 
         return covariance
@@ -252,11 +263,13 @@ class Odometer:
         mean = np.zeros((len(self.states), initial_mean.shape[1]))
         known = min(len(mean), len(initial_mean))
         mean[:known] = initial_mean[:known]
+        noise = self.noise(slipping)
         return DesignModel(
             states=self.states, measurements=self.sensors, period=self.period, transition=self.transition,
             measurement=self.measurement, transition_jacobian=self.jacobian,
             measurement_jacobian=self.measurement_jacobian, process_covariance=self.covariance,
-            linear_measurement=bool((self._rows[:, 1] < 0).all()),
-            measurement_covariance=self.noise(slipping), initial_mean=mean,
+            linear_measurement=bool((self._rows[:, 1] < 0).all()), measurement_covariance=noise, initial_mean=mean,
+            whole=self._whole((self.transition, self.jacobian, self.measurement, self.measurement_jacobian,
+                               self.covariance, noise), slipping),
             initial_covariance=np.diag([sd.get(name, start.scale) ** 2 for name in self.states])[:, :, None],
             tells=tells, **parts)
