@@ -91,14 +91,18 @@ class ExtendedKalman(Estimator):
         whole = self.model.compiled
         if whole is None or type(self) is not ExtendedKalman:
             return None
-        self._expand()
-        (nx, runs), ny = self._mean.shape, self.model.ny
-        out = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
-                            variance=(ny, runs))
-        if walk_kalman(*whole[:6], whole.noise, np.full(runs, course.period), course.u, course.y, course.received,
+        out = self._room_for(course)
+        if walk_kalman(*whole[:6], whole.noise, np.full(self.runs, course.period), course.u, course.y, course.received,
                        course.variance, self._mean, self._covariance, self._failed, *out):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
         return Walk(*out)
+
+    def _room_for(self, course: Course) -> list[Array]:
+        """The arrays of a `Walk`; from now on the runs' covariances differ."""
+        self._expand()
+        (nx, runs), ny = self._mean.shape, self.model.ny
+        return self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
+                             variance=(ny, runs))
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

@@ -13,12 +13,13 @@ from pydantic import Field, model_validator
 from ..scenarios.arrays import Array
 from ..scenarios.compiled import Compiled
 from ..scenarios.errors import Infeasible
-from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator, Innovation, Parameters, Status, flag
+from .interface import Estimate, Estimator, Innovation, Parameters, Room, Status, Walk, flag
 from .kernels.kalman import kalman_update
 from .kernels.unscented import linearised, sigma_points, unscented_predict
+from .kernels.walks import walk_points
 
 NOT_DEFINITE = "a covariance was not positive definite"
 Weights = tuple[Array, Array, float]
@@ -58,7 +59,7 @@ class SigmaPointKalman(Estimator):
         self._estimate = Estimate(self._mean, covariance=self._covariance)
         self._failed = np.zeros(runs, dtype=bool)
         self._residual, self._variance = np.zeros((ny, runs)), np.zeros((ny, runs))
-        self._innovation = Innovation(self._residual, self._variance)
+        self._innovation, self._room = Innovation(self._residual, self._variance), Room()
         self._everyone, self._none = np.arange(runs), np.empty((n, 0, 0))
         self._linear = self.redraw and model.linear_measurement and model.measurement_jacobian is not None
         self._propagated: Array | None = None
@@ -89,6 +90,18 @@ class SigmaPointKalman(Estimator):
         self._flag(kalman_update(self._mean, self._covariance, y, predicted, received, h, r, self._residual,
                                  self._variance, self._failed))
         return self._innovation
+
+    def walk(self, course: Course) -> Walk | None:
+        whole = self.model.compiled
+        if whole is None or self._linear or not self.redraw or type(self) not in (UnscentedKalman, CubatureKalman):
+            return None
+        (nx, runs), ny = self._mean.shape, self.model.ny
+        out = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
+                            variance=(ny, runs))
+        self._flag(walk_points(whole.transition, whole.measurement, whole.data, whole.Q, whole.noise,
+                               np.full(runs, course.period), self._weights, self._scale, course.u, course.y,
+                               course.received, course.variance, self._mean, self._covariance, self._failed, *out))
+        return Walk(*out)
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

@@ -9,7 +9,7 @@ import numpy as np
 from ...scenarios.compiled import call
 from .core import extended_predict, kernel
 from .kalman import kalman_update
-from .mixing import log_density, mix, moments, weigh
+from .unscented import linearised, sigma_points, unscented_predict
 
 
 @kernel
@@ -32,16 +32,6 @@ def noises(variance, noise, first, r):
 
 
 @kernel
-def repeat(values, m, out):
-    """out (n, m S) := values (n, S), m times."""
-    runs = values.shape[1]
-    for i in range(values.shape[0]):
-        for j in range(m):
-            for s in range(runs):
-                out[i, j * runs + s] = values[i, s]
-
-
-@kernel
 def walk_kalman(f, F, measurement, jacobian, data, q, noise, seconds, u, y, received, variance, mean, covariance,
                 failed, means, covariances, residuals, variances):
     """The extended Kalman filter: mean (nx, S), covariance (nx, nx, S) in place; u, y, received, variance (B, .., S) as
@@ -59,34 +49,22 @@ def walk_kalman(f, F, measurement, jacobian, data, q, noise, seconds, u, y, rece
 
 
 @kernel
-def walk_modes(f, F, measurement, jacobian, data, q, noise, seconds, transition, u, y, received, variance, mean,
-               covariance, weight, failed, lost, means, covariances, likelihoods):
-    """The interacting multiple model filter, an extended Kalman filter for each of m modes, which differ in `noise` (m,
-    3, ny) alone: mean (nx, m S), covariance (nx, nx, m S), weight (m, S) in place; likelihoods (B, S). The rest as in
-    `walk_kalman`."""
-    m, runs, nx, ny, bad = weight.shape[0], weight.shape[1], mean.shape[0], y.shape[1], 0
-    wide, nothing, moving = m * runs, np.zeros((1, 1)), np.ones(runs, np.bool_)
-    inputs, seen, got = np.empty((u.shape[1], wide)), np.empty((ny, wide)), np.empty((ny, wide), np.bool_)
-    predicted, h, r = np.empty((ny, wide)), np.empty((ny, nx, wide)), np.zeros((ny, ny, wide))
-    residual, spread, heard = np.zeros((ny, wide)), np.zeros((ny, wide)), np.empty(runs, np.bool_)
+def walk_points(f, measurement, data, q, noise, seconds, weights, scale, u, y, received, variance, mean, covariance,
+                failed, means, covariances, residuals, variances):
+    """A sigma-point filter that draws its points anew for each measurement: see `walk_kalman`. Returns how many runs
+    failed in prediction or update."""
+    nx, runs, ny, m, bad = mean.shape[0], mean.shape[1], y.shape[1], weights.shape[1], 0
+    predicted, h, told = np.empty((ny, runs)), np.empty((ny, nx, runs)), np.empty((ny, ny, runs))
+    r, images = np.zeros((ny, ny, runs)), np.empty((ny, m, runs))
+    points, off = np.empty((nx, m, runs)), np.empty((nx, m, runs))
+    everyone, none, nothing = np.arange(runs), np.empty((nx, 0, 0)), np.zeros((1, 1))
     for b in range(y.shape[0]):
-        mix(transition, weight, moving, mean, covariance)
-        repeat(u[b], m, inputs)
-        extended_predict(f, F, inputs, seconds, data, q, mean, covariance)
-        some = False
-        for s in range(runs):
-            heard[s] = False
-            for j in range(ny):
-                heard[s] |= received[b, j, s]
-            some |= heard[s]
-            likelihoods[b, s] = 0.0
-        if some:
-            observe(measurement, jacobian, data, mean, nothing, predicted, h)
-            for j in range(m):
-                noises(variance[b], noise[j], j * runs, r)
-            repeat(y[b], m, seen)
-            repeat(received[b], m, got)
-            bad += kalman_update(mean, covariance, seen, predicted, got, h, r, residual, spread, failed)
-            likelihoods[b] = weigh(weight, log_density(residual, spread, received[b]), heard, lost)
-        moments(weight, mean, covariance, means[b], covariances[b])
+        bad += unscented_predict(f, u[b], seconds, data, everyone, weights, scale, q, mean, covariance, none, failed)
+        noises(variance[b], noise, 0, r)
+        bad += sigma_points(mean, covariance, scale, points, off, failed)
+        call(measurement, points, nothing, nothing[0], data, m, runs, runs, images)
+        bad += linearised(off, images, weights, covariance, r, predicted, h, told, failed)
+        bad += kalman_update(mean, covariance, y[b], predicted, received[b], h, told, residuals[b], variances[b],
+                             failed)
+        means[b], covariances[b] = mean, covariance
     return bad

@@ -19,11 +19,11 @@ from .. import mode_grid
 from ..interface import Estimate, Estimator, Innovation, Parameters, Room, Status, Walk, flag
 from ..kalman import SINGULAR_INNOVATION, ExtendedKalman
 from ..kernels.mixing import log_density, mix, moments, weigh
-from ..kernels.walks import walk_modes
 from ..outliers.base import Reading, ratio_limit
 from ..outliers.kernels import look
 from ..outliers.reopening import Memory, Reopening
 from .stacked import interval_of, measurement_of, noise_of, power_of, stacked
+from .walks import walk_modes
 
 IMPOSSIBLE = "all modes became impossible"
 
@@ -136,18 +136,20 @@ class InteractingModels(Estimator):
         return Innovation(log_likelihood=loglik)
 
     def walk(self, course: Course) -> Walk | None:
-        each = [mode.model.compiled for mode in self.modes]
-        whole = each[0]
-        if whole is None or self._closed is not None or type(self) is not InteractingModels or any(
+        each, whole, gate = [mode.model.compiled for mode in self.modes], self.model.compiled, self._closed
+        if whole is None or type(self) is not InteractingModels or any(
                 one is None or one.of[:-1] != whole.of[:-1] for one in each):
             return None
-        noise = np.array([one.noise for one in each if one is not None])
+        noise, ny = np.array([one.noise for one in each if one is not None]), self.model.ny
+        judged, since = (np.zeros(ny, dtype=bool), np.zeros((ny, self.runs))) if gate is None else (
+            gate.is_judged, gate.since)
         bank, runs, nx = self.bank, self.runs, self.model.nx
         mean, covariance, likelihood = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs),
                                                      likelihood=(runs,))
         if walk_modes(*whole[:6], noise, np.full(self.m * runs, course.period), self.power(np.asarray(1.0)), course.u,
                       course.y, course.received, course.variance, bank._mean, bank._covariance, self.weight,
-                      bank._failed, self.lost, mean, covariance, likelihood):
+                      bank._failed, self.lost, course.times, whole.noise, self._limit, judged, since,
+                      self.parameters.after - 1e-9, mean, covariance, likelihood):
             flag(bank, bank._failed, Status.failed, SINGULAR_INNOVATION)
         if self.lost.any():
             flag(self, self.lost, Status.failed, IMPOSSIBLE)

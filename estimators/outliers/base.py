@@ -10,12 +10,12 @@ import numpy as np
 
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Unsupported
-from ...scenarios.measurement import Measurement, untold
+from ...scenarios.measurement import Course, Measurement, untold
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..interface import Estimator, Innovation, Status, flag
+from ..interface import Estimator, Innovation, Status, Walk, flag
 from ..kalman import SINGULAR_INNOVATION, ExtendedKalman
-from .kernels import correct, look
+from .kernels import correct, look, walk_elements
 
 
 class Reading(NamedTuple):
@@ -121,8 +121,37 @@ class Elementwise(Estimator):
         return Innovation(residuals, variances)
 
 
+class Judgement(NamedTuple):
+    """What `walk_elements` has to know of a filter: a gate's limit, whom it judges (ny,), together with whom (ny, ny),
+    since when each is outside (ny, S), after how many s it opens; a Student noise's degrees of freedom and iterations
+    (0: Gaussian)."""
+
+    limit: float
+    judged: Mask
+    together: Mask
+    since: Array
+    after: float
+    dof: float = 0.0
+    iterations: int = 0
+
+
 class ElementwiseKalman(Elementwise, ExtendedKalman):
     """The extended Kalman filter by elements in turn, linearised once."""
+
+    def judgement(self) -> Judgement | None:
+        """How readings are judged, where `walk` knows that."""
+        return None
+
+    def walk(self, course: Course) -> Walk | None:
+        whole, how = self.model.compiled, self.judgement()
+        if whole is None or how is None:
+            return None
+        out = self._room_for(course)
+        seconds = np.full(self.runs, course.period)
+        if walk_elements(*whole[:6], whole.noise, seconds, course.u, course.y, course.received, course.variance,
+                         course.times, *how, self._mean, self._covariance, self._failed, *out):
+            flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
+        return Walk(*out)
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)

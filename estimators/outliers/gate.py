@@ -9,13 +9,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from ...scenarios.measurement import Course
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..interface import Status, Walk, flag
-from ..kalman import SINGULAR_INNOVATION
-from .base import ElementwiseKalman, Reading, Weighed, ratio_limit
-from .kernels import association, walk_gated
+from .base import ElementwiseKalman, Judgement, Reading, Weighed, ratio_limit
+from .kernels import association
 from .reopening import Memory, Reopening
 
 
@@ -67,18 +64,11 @@ class GatedKalman(_Reopened):
         super().start(model, runs, random)
         self._limit = ratio_limit(self.parameters.level)
 
-    def walk(self, course: Course) -> Walk | None:
-        whole, memory = self.model.compiled, self._memory
-        if whole is None or type(self) is not GatedKalman or memory.parameters.reopen != "time":
+    def judgement(self) -> Judgement | None:
+        memory = self._memory
+        if type(self) is not GatedKalman or memory.parameters.reopen != "time":
             return None
-        (nx, runs), ny = self._mean.shape, self.model.ny
-        out = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
-                            variance=(ny, runs))
-        if walk_gated(*whole[:6], whole.noise, np.full(runs, course.period), course.u, course.y, course.received,
-                      course.variance, course.times, self._limit, memory.is_judged, memory.together, memory.since,
-                      memory.parameters.after - 1e-9, self._mean, self._covariance, self._failed, *out):
-            flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return Walk(*out)
+        return Judgement(self._limit, memory.is_judged, memory.together, memory.since, memory.parameters.after - 1e-9)
 
     def judge(self, reading: Reading) -> Weighed:
         rejected = self._memory.rejected(reading, reading.ratio > self._limit)

@@ -15,7 +15,7 @@ from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Innovation, Parameters
 from ..kernels.core import congruence
-from .base import ElementwiseKalman, Reading, Weighed
+from .base import ElementwiseKalman, Judgement, Reading, Weighed
 from .kernels import student
 
 
@@ -30,6 +30,13 @@ class StudentKalman(ElementwiseKalman):
 
     summary = "EKF with Student-t measurement noise, variational"
     source = "Agamennoni, Nieto and Nebot, IEEE TSP 60(10), 2012; Piche, Sarkka and Hartikainen, MLSP 2012"
+
+    def judgement(self) -> Judgement | None:
+        ny, p = self.model.ny, self.parameters
+        if type(self) is not StudentKalman:
+            return None
+        return Judgement(np.inf, np.zeros(ny, dtype=bool), np.eye(ny, dtype=bool), np.full((ny, self.runs), np.inf),
+                         np.inf, p.dof, p.iterations)
 
     def weigh(self, reading: Reading) -> Weighed:
         precision = np.empty_like(reading.residual)

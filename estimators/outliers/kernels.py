@@ -102,46 +102,6 @@ def close(outside, received, time, since, element, together, after):
 
 
 @kernel
-def walk_gated(f, F, measurement, jacobian, data, q, noise, seconds, u, y, received, variance, times, limit, judged,
-               together, since, after, mean, covariance, failed, means, covariances, residuals, variances):
-    """As `walks.walk_kalman`, element by element, without the readings of `judged` (ny,) elements whose ratio is above
-    the limit; the gate opens after a time (`close`) of rejections of the elements together (ny, ny). times (B,), s."""
-    nx, runs, ny, bad = mean.shape[0], mean.shape[1], y.shape[1], 0
-    predicted, nothing = np.empty((ny, runs)), np.zeros((1, 1))
-    h, r = np.empty((ny, nx, runs)), np.zeros((ny, ny, runs))
-    start, product, weight, told = np.empty((nx, runs)), np.empty((nx, runs)), np.empty(runs), np.empty(runs)
-    outside, elements = np.empty(runs, np.bool_), np.arange(ny)
-    for b in range(y.shape[0]):
-        extended_predict(f, F, u[b], seconds, data, q, mean, covariance)
-        observe(measurement, jacobian, data, mean, nothing, predicted, h)
-        noises(variance[b], noise, 0, r)
-        for a in range(nx):
-            for s in range(runs):
-                start[a, s] = mean[a, s]
-        for j in range(ny):
-            residual, spread, got, own = residuals[b, j], variances[b, j], received[b, j], r[j, j]
-            some = False
-            for s in range(runs):
-                some |= got[s]
-            if not some:
-                continue
-            look(mean, start, covariance, h[j], y[b, j], predicted[j], got, residual, spread, product)
-            for s in range(runs):
-                weight[s], told[s] = 1.0, spread[s] + own[s]
-            if judged[j]:
-                for s in range(runs):
-                    outside[s] = residual[s] * residual[s] / told[s] > limit
-                rejected = close(outside, got, times[b:b + 1], since, j, elements[together[j]], after)
-                for s in range(runs):
-                    weight[s] = 0.0 if rejected[s] else 1.0
-            bad += correct(mean, covariance, h[j], product, residual, told, own, weight, got, failed)
-            for s in range(runs):
-                spread[s] = told[s]
-        means[b], covariances[b] = mean, covariance
-    return bad
-
-
-@kernel
 def correntropy(ratio, bandwidth, out):
     """out (S,) := exp(-ratio / (2 bandwidth^2)), ratio (S,) a squared normalised residual."""
     for s in range(out.shape[0]):
@@ -171,3 +131,52 @@ def association(residual, variance, wide, share, out):
         odds = math.log(share / (1.0 - share)) + 0.5 * (math.log(variance[s] / wide[s]) + square / variance[s]
                                                         - square / wide[s])
         out[s] = 1.0 / (1.0 + math.exp(odds)) if odds < 700.0 else 0.0
+
+
+@kernel
+def walk_elements(f, F, measurement, jacobian, data, q, noise, seconds, u, y, received, variance, times, limit, judged,
+                  together, since, after, dof, iterations, mean, covariance, failed, means, covariances, residuals,
+                  variances):
+    """As `walks.walk_kalman`, element by element: readings of `judged` (ny,) elements whose ratio is above the limit
+    are rejected, by a gate that opens after a time (`close`) of rejections of the elements together (ny, ny); times
+    (B,), s. With iterations, noise is Student's of so many degrees of freedom."""
+    nx, runs, ny, bad = mean.shape[0], mean.shape[1], y.shape[1], 0
+    predicted, nothing = np.empty((ny, runs)), np.zeros((1, 1))
+    h, r = np.empty((ny, nx, runs)), np.zeros((ny, ny, runs))
+    start, product, weight, told = np.empty((nx, runs)), np.empty((nx, runs)), np.empty(runs), np.empty(runs)
+    outside, elements, used, total = np.empty(runs, np.bool_), np.arange(ny), np.empty(runs), np.empty(runs)
+    for b in range(y.shape[0]):
+        extended_predict(f, F, u[b], seconds, data, q, mean, covariance)
+        observe(measurement, jacobian, data, mean, nothing, predicted, h)
+        noises(variance[b], noise, 0, r)
+        for a in range(nx):
+            for s in range(runs):
+                start[a, s] = mean[a, s]
+        for j in range(ny):
+            residual, spread, got, own = residuals[b, j], variances[b, j], received[b, j], r[j, j]
+            some = False
+            for s in range(runs):
+                some |= got[s]
+            if not some:
+                continue
+            look(mean, start, covariance, h[j], y[b, j], predicted[j], got, residual, spread, product)
+            if iterations:
+                student(residual, spread, own, dof, iterations, weight)
+                for s in range(runs):
+                    used[s] = own[s] / weight[s]
+            else:
+                for s in range(runs):
+                    used[s] = own[s]
+            for s in range(runs):
+                weight[s], told[s], total[s] = 1.0, spread[s] + own[s], spread[s] + used[s]
+            if judged[j]:
+                for s in range(runs):
+                    outside[s] = residual[s] * residual[s] / told[s] > limit
+                rejected = close(outside, got, times[b:b + 1], since, j, elements[together[j]], after)
+                for s in range(runs):
+                    weight[s] = 0.0 if rejected[s] else 1.0
+            bad += correct(mean, covariance, h[j], product, residual, total, used, weight, got, failed)
+            for s in range(runs):
+                spread[s] = told[s]
+        means[b], covariances[b] = mean, covariance
+    return bad
