@@ -64,6 +64,7 @@ class OdometryWorld:
                            "reference-error": reference[:, 0] - reference[:, 1], "slide-a": slides[:, 0],
                            "slide-b": slides[:, 1]})
 
+    _events: dict[int, tuple[tuple[Event, ...], Array]] = field(init=False, default_factory=dict)
     readings: dict[int, list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]]] = field(init=False)
     reference: Array = field(init=False)
     scored: Mask = field(init=False)
@@ -124,19 +125,29 @@ class OdometryWorld:
 
     def step(self, k: int, mean: Array) -> Step:
         ny, runs = self.y.shape[1:]
-        events: list[Event] = []
-        gone: Array | float = 0.0
-        for who, share, balise in self.readings.get(k, ()):
-            at = np.array(np.broadcast_to(gone, (runs,)))
-            at[who] = share
-            y, received, covariance = np.zeros((ny, runs)), np.zeros((ny, runs), dtype=bool), np.zeros((ny, ny, runs))
-            covariance.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
-            y[self.balise, who] = self.passages.told[balise, who]
-            received[self.balise, who] = True
-            covariance[self.balise, self.balise, who] = self.balise_variance[balise]
-            events.append(Event(at - gone, y, received, covariance))
-            gone = at
+        inner, gone = self._inside(k)
         self.says.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
-        events.append(Event(1.0 - gone, self.y[k], self.received[k], self.says))
-        return Step(self.u[k], tuple(events), self.truth[k], self.active[k], self.scored[k], None, k + 1,
+        last = Event(1.0 - gone, self.y[k], self.received[k], self.says)
+        return Step(self.u[k], (*inner, last), self.truth[k], self.active[k], self.scored[k], None, k + 1,
                     k * self.period, self.period, reference=self.reference[k])
+
+    def _inside(self, k: int) -> tuple[tuple[Event, ...], Array | float]:
+        """The balises inside a step, and how much of it is gone then: made once, for all estimators."""
+        if k not in self.readings:
+            return (), 0.0
+        if k not in self._events:
+            ny, runs = self.y.shape[1:]
+            events, gone = list[Event](), np.zeros(runs)
+            for who, share, balise in self.readings[k]:
+                at = gone.copy()
+                at[who] = share
+                y, received = np.zeros((ny, runs)), np.zeros((ny, runs), dtype=bool)
+                covariance = np.zeros((ny, ny, runs))
+                covariance.reshape(ny * ny, runs)[::ny + 1] = self.variance[k]
+                y[self.balise, who] = self.passages.told[balise, who]
+                received[self.balise, who] = True
+                covariance[self.balise, self.balise, who] = self.balise_variance[balise]
+                events.append(Event(at - gone, read_only(y), read_only(received), read_only(covariance)))
+                gone = at
+            self._events[k] = tuple(events), gone
+        return self._events[k]

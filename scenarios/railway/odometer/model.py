@@ -14,7 +14,7 @@ from pydantic import NonNegativeFloat, PositiveFloat
 
 from ...arrays import Array, Index, Mask
 from ...compiled import WholeSteps
-from ...measurement import Interval, Measurement, told
+from ...measurement import Interval, Measurement, PerRun, told
 from ...model import DesignModel
 from ...schema import Strict
 from ...strict import key
@@ -117,8 +117,7 @@ class Odometer:
         usual = self._usual(interval)
         if usual and runs in self.whole:
             return self.whole[runs]
-        length = np.array(np.broadcast_to(np.asarray(interval.length, dtype=float), (runs,)))
-        whole = np.array(np.broadcast_to(np.asarray(interval.share) == 1.0, (runs,)))
+        length, whole = _each(interval.length, runs), _each(interval.share, runs) == 1.0
         if usual:
             self.whole[runs] = length, whole
         return length, whole
@@ -148,9 +147,8 @@ class Odometer:
         points = np.ascontiguousarray(x, dtype=float).reshape(x.shape[0], -1, x.shape[-1])
         out, runs, u = np.empty_like(points), x.shape[-1], np.ascontiguousarray(u)
         length, _ = self._clock(interval, runs)
-        share = np.array(np.broadcast_to(np.asarray(interval.share, dtype=float), (runs,)))
-        compiled.counted(points, u[EFFORT], u[DISTANCE_A:DISTANCE_B + 1], u[SPEED_A:SPEED_B + 1], self._motion, share,
-                         length, out)
+        compiled.counted(points, u[EFFORT], u[DISTANCE_A:DISTANCE_B + 1], u[SPEED_A:SPEED_B + 1], self._motion,
+                         _each(interval.share, runs), length, out)
         return out.reshape(x.shape)
 
     @property
@@ -273,3 +271,8 @@ class Odometer:
                                self.covariance, noise), slipping),
             initial_covariance=np.diag([sd.get(name, start.scale) ** 2 for name in self.states])[:, :, None],
             tells=tells, **parts)
+
+
+def _each(value: PerRun, runs: int) -> Array:
+    """A number for each run (S,)."""
+    return value if isinstance(value, np.ndarray) and value.shape == (runs,) else np.full(runs, value, dtype=float)
