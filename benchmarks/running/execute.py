@@ -231,6 +231,8 @@ class FirstSteps:
         self._world, self.steps = world, min(steps, world.steps)
         self.initial_mean, self.closed_loop = world.initial_mean, world.closed_loop
         self.lengths = world.lengths[:self.steps]
+        if hasattr(world, "straight"):
+            self.straight: Any = lambda k, most: getattr(world, "straight")(k, min(most, self.steps - k))  # noqa: B009
 
     def step(self, k: int, mean: Any) -> Step:
         return self._world.step(k, mean)

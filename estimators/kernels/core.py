@@ -174,6 +174,20 @@ def _symmetric_half(t, f, q, out, width):
 
 
 @kernel
+def _alike(f, width, one):
+    """Whether f (n, n, >= width) is the same for all runs, and if so what, one (n, n, 1)."""
+    for i in range(f.shape[0]):
+        for j in range(f.shape[1]):
+            row, first, others = f[i, j], f[i, j, 0], 0
+            for s in range(width):  # no way out inside: that would keep it from being vectorised
+                others += row[s] != first
+            one[i, j, 0] = first
+            if others:
+                return False
+    return True
+
+
+@kernel
 def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance):
     """mean (n, S) := f(mean, u), covariance (n, n, S) := F covariance F' + q (n, n, S or 1), block by block, in place.
 
@@ -187,7 +201,7 @@ def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance
     f, half, p = cubes[:n], cubes[n:2 * n], covariance if whole else cubes[2 * n:]
     moved, times, inputs = rows[:n], rows[n:n + 1], rows[n + 1:n + 1 + u.shape[0]]
     x = mean if whole else rows[n + 1 + u.shape[0]:]
-    tile_q = q if q.shape[2] == 1 else np.empty((n, n, wide))
+    tile_q, one = q if q.shape[2] == 1 else np.empty((n, n, wide)), np.empty((n, n, 1))
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
         for s in range(width):
@@ -201,8 +215,12 @@ def extended_predict(transition, jacobian, u, seconds, data, q, mean, covariance
             gather3(covariance, index, width, p)
         call(transition, x, inputs, times, data, 1, width, wide, moved)
         call(jacobian, x, inputs, times, data, 1, width, wide, f)
-        _half(f, p, half, width)
-        _symmetric_half(half, f, tile_q, p, width)
+        if _alike(f, width, one):  # a Jacobian that all share has zeros to be left out
+            _half(one, p, half, width)
+            _symmetric_half(half, one, tile_q, p, width)
+        else:
+            _half(f, p, half, width)
+            _symmetric_half(half, f, tile_q, p, width)
         scatter2(moved, index, width, mean)
         if not whole:
             scatter3(p, index, width, covariance)
