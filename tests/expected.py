@@ -29,17 +29,22 @@ def alike(old: str, new: str, number: re.Pattern[str] = NUMBER) -> bool:
 
 
 def compare(name: str, text: str, rewrite: object) -> None:
-    """Assert that the text is what `expected/name.txt` holds, or write it there."""
+    """Assert that the text is what `expected/name.txt` holds, or write it there; NAME:PART is a part of that file, for
+    tests of many cases (written by `pytest -n 0 --rewrite`)."""
+    name, _, part = name.partition(":")
     path = FOLDER / f"{name}.txt"
     new = [line.rstrip() for line in text.splitlines()]
-    old = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    whole = path.read_text(encoding="utf-8") if path.exists() else ""
+    parts = dict(found.partition("\n")[::2] for found in whole.split("\n=== ")[1:]) if part else {"": whole}
+    old = parts.get(part, "").splitlines()
     number = PLACE if name.startswith("figures") else NUMBER
     if len(old) == len(new) and all(alike(*pair, number) for pair in zip(old, new, strict=True)):
         return
     if rewrite:
-        path.write_text("\n".join(new) + "\n", encoding="utf-8")
+        parts[part] = "\n".join(new) + "\n"
+        path.write_text("".join(f"\n=== {key}\n{parts[key]}" for key in sorted(parts)) if part else parts[""], "utf-8")
         return
-    shown = list(difflib.unified_diff(old, new, f"expected/{name}.txt", "now", lineterm="", n=0))
+    shown = list(difflib.unified_diff(old, new, f"expected/{name}.txt {part}", "now", lineterm="", n=0))
     raise AssertionError("\n".join([*shown[:40], "meant to change: pytest --rewrite, see tests/expected.py"]))
 
 
