@@ -18,6 +18,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,8 @@ PRELOADED = ("numba", "pandas", "pyarrow.parquet", "pyarrow.compute", "scipy.lin
              "scipy.optimize", "scipy.signal", "matplotlib.pyplot", "pydantic", "typer", "rich.console",
              "rich.progress", "jinja2", "joblib", "cvxpy", "hypothesis", "pytest", "threadpoolctl", "filterpy.kalman")
 """What a trial need not import anew: libraries, nothing of ours."""
+CHECKS = (("ruff", "check", "--no-cache"), ("pyright",))
+"""What CI asks besides the tests; what only these catch is said so."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
@@ -160,6 +163,11 @@ def attempt(room: Room, options: argparse.Namespace) -> None:
         print(f"{len(failing)} of {len(asked)} tests fail without a fault: {failing}, again {left}", flush=True)
 
 
+def refused(room: Room, words: Sequence[str], path: str) -> bool:
+    """Whether a static check of CI does not pass a module."""
+    return subprocess.run([*words, path], cwd=room.tree, capture_output=True, check=False).returncode == 1
+
+
 def one(room: Room, tests: Tests, fault: Fault, names: list[str], seconds: float) -> dict[str, Any]:
     """What becomes of a fault."""
     text, place, begun = tests.text[fault.path], room.tree / fault.path, time.monotonic()
@@ -169,6 +177,8 @@ def one(room: Room, tests: Tests, fault: Fault, names: list[str], seconds: float
         try:
             code, by = room.tried(["-x", *names], 100 + 3 * seconds)
             how = {0: "survives", 1: "caught", None: "caught: no end"}.get(code, f"caught: pytest ends with {code}")
+            if code == 0:
+                how = next((f"caught by {words[0]}" for words in CHECKS if refused(room, words, fault.path)), how)
         finally:
             place.write_text(text, encoding="utf-8")
             os.utime(place, ns=(before.st_atime_ns, before.st_mtime_ns))

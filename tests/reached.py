@@ -18,7 +18,8 @@ from typing import Any
 
 from mutants import PACKAGES, Fault
 
-WHOLE = ("tests/test_defaults.py", "tests/benchmarks/test_expected.py", "tests/scenarios/test_refusals.py")
+WHOLE = ("tests/test_defaults.py", "tests/benchmarks/test_expected.py", "tests/scenarios/test_refusals.py",
+         "tests/benchmarks/test_published.py")
 """Tests that compare whole outputs: asked however long they take, after the quick ones."""
 QUICK = 8.0
 """Seconds of quick tests before those."""
