@@ -20,9 +20,9 @@ from mutants import PACKAGES, Fault
 
 WHOLE = ("tests/test_defaults.py", "tests/benchmarks/test_expected.py", "tests/scenarios/test_refusals.py",
          "tests/benchmarks/test_published.py")
-"""Tests that compare whole outputs: asked however long they take, after the quick ones."""
-QUICK = 8.0
-"""Seconds of quick tests before those."""
+"""Tests that compare whole outputs: asked however long they take."""
+SETS_OUT = "short_runs"
+"""In the names of those that share runs which take long to set out: asked last."""
 
 
 def texts(tree: Path) -> dict[str, str]:
@@ -93,17 +93,16 @@ class Tests:
 
     def of(self, fault: Fault, most: float) -> list[str]:
         """Those that reach a fault: its statement, the users of what it makes, its module, its package. Quick ones
-        first, then the whole outputs, then as many more as take so many seconds."""
+        first, as many as take so many seconds, and the whole outputs."""
         folder = os.path.dirname(fault.path)
         found = self._statement(fault) or self._within(fault.path) or set().union(
             *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
-        ordered = [self.names[number] for number in sorted(found, key=lambda number: self.seconds[number])]
-        whole = [name for name in ordered if name.startswith(WHOLE)]
+        seconds = {self.names[number]: self.seconds[number] for number in found}
+        ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, seconds[name]))
         rest = [name for name in ordered if not name.startswith(WHOLE)]
-        seconds = dict(zip(self.names, self.seconds, strict=True))
-        spent = list(accumulate(seconds[name] for name in rest))
-        quick, all_ = bisect_right(spent, QUICK), bisect_right(spent, most)
-        return rest[:quick] + whole + rest[quick:max(all_, not whole)]
+        room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
+        taken = {*rest[:max(room, 1)], *(name for name in ordered if name.startswith(WHOLE))}
+        return [name for name in ordered if name in taken]
 
     def _at(self, path: str, lines: Iterable[int]) -> set[int]:
         mine = self.lines.get(path, {})
