@@ -18,8 +18,7 @@ from typing import Any
 
 from mutants import PACKAGES, Fault
 
-WHOLE = ("tests/test_defaults.py", "tests/benchmarks/test_expected.py", "tests/scenarios/test_refusals.py",
-         "tests/benchmarks/test_published.py")
+WHOLE = re.compile(r"^def (test_\w+)\([^)]*\bexpected: (?:Expected|Callable\[\[str, str\], None\])", re.MULTILINE)
 """Tests that compare whole outputs: asked however long they take."""
 SETS_OUT = "short_runs"
 """In the names of those that share runs which take long to set out: asked last."""
@@ -78,6 +77,8 @@ class Tests:
     def __init__(self, folder: Path, tree: Path) -> None:
         self.tree, self.text, self.names = tree, texts(tree), list[str]()
         self.trees = {path: ast.parse(text) for path, text in self.text.items()}
+        self.whole = {f"{path.relative_to(tree)}::{name}" for path in (tree / "tests").rglob("test_*.py")
+                           for name in WHOLE.findall(path.read_text(encoding="utf-8"))}
         self.seconds: list[float] = []
         self.lines: dict[str, dict[int, set[int]]] = {}
         for path in sorted((folder / "home").glob("reach*.json")):
@@ -99,9 +100,9 @@ class Tests:
             *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
         seconds = {self.names[number]: self.seconds[number] for number in found}
         ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, seconds[name]))
-        rest = [name for name in ordered if not name.startswith(WHOLE)]
+        rest = [name for name in ordered if not name in self.whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
-        taken = {*rest[:max(room, 1)], *(name for name in ordered if name.startswith(WHOLE))}
+        taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
         return [name for name in ordered if name in taken]
 
     def _at(self, path: str, lines: Iterable[int]) -> set[int]:
