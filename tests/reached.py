@@ -100,7 +100,7 @@ class Tests:
             *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
         seconds = {self.names[number]: self.seconds[number] for number in found}
         ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, seconds[name]))
-        rest = [name for name in ordered if not name in self.whole]
+        rest = [name for name in ordered if name not in self.whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
         taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
         return [name for name in ordered if name in taken]
