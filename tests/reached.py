@@ -20,6 +20,8 @@ from mutants import PACKAGES, Fault
 
 WHOLE = re.compile(r"^def (test_\w+)\([^)]*\bexpected: (?:Expected|Callable\[\[str, str\], None\])", re.MULTILINE)
 """Tests that compare whole outputs: asked however long they take."""
+LOADING = "tests/test_defaults.py::test_defaults_and_constants"
+"""Looks at all that is made as modules are loaded."""
 SETS_OUT = "short_runs"
 """In the names of those that share runs which take long to set out: asked last."""
 
@@ -114,6 +116,9 @@ class Tests:
         return set().union(*(self._at(path, range(node.body[0].lineno, (node.end_lineno or 0) + 1))
                              for node in ast.walk(ast.parse(self.text[path])) if isinstance(node, ast.FunctionDef)))
 
+    def _loading(self) -> set[int]:
+        return {number for number, name in enumerate(self.names) if name == LOADING}
+
     def _statement(self, fault: Fault) -> set[int]:
         """Tests that reach the statement around a fault. What is done as a module is loaded, compiled, or done in other
         processes is reached by those of the lines that name what it makes."""
@@ -129,12 +134,9 @@ class Tests:
             begin, end = functions[-1].body[0].lineno, functions[-1].end_lineno or 0
             if begin <= at:
                 return self._at(fault.path, _range(last)) or self._users({functions[0].name})
-            return self._at(fault.path, range(at, at + 1)) | (self._at(fault.path, range(begin, end + 1))
-                                                              or self._users({functions[0].name}))
-        names = {target.id for node in ast.walk(last) for target in [*getattr(node, "targets", []),
-                                                                     getattr(node, "target", None)]
-                 if isinstance(target, ast.Name)} or {getattr(last, "name", "")} - {""}
-        return self._at(fault.path, _range(last)) | self._users(names) | self._within(fault.path)
+            return self._loading() | (self._at(fault.path, range(begin, end + 1)) or self._users({functions[0].name}))
+        names = {node.id for node in ast.walk(last) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        return self._loading() | self._users(names) | self._within(fault.path)
 
     def _users(self, names: set[str]) -> set[int]:
         """Tests of the lines of functions that name something, or what in compiled code calls it."""
