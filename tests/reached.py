@@ -101,7 +101,7 @@ class Tests:
         found = self._statement(fault) or self._within(fault.path) or set().union(
             *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
         seconds = {self.names[number]: self.seconds[number] for number in found}
-        ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, seconds[name]))
+        ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, name != LOADING, seconds[name]))
         rest = [name for name in ordered if name not in self.whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
         taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
