@@ -17,14 +17,16 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import zstandard
-from railstate.scenarios.recorded.columns import cells_of, numbers
+from railstate.scenarios.recorded.columns import cells_of, decimal_sign, find_column, need_unit, numbers
 from railstate.scenarios.recorded.readers import files
 from railstate.scenarios.recorded.readers.reading import read
 from railstate.scenarios.recorded.readers.table import Table
+from railstate.scenarios.recorded.times import ordered, seconds
 
 PLAIN = "t [s],x [m]\n0,1.5\n1,2.5\n2,-4\n"
 
@@ -129,3 +131,62 @@ def test_columns_of_every_kind_as_numbers(expected: Callable[[str, str], None]) 
             rules = cells_of(missing, decimal)
             out.append(f"{name} {decimal}{missing}: {told(lambda: numbers(table, name, rules).tolist())}")  # noqa: B023
     expected("recording-columns", "\n".join(out))
+
+
+def column_table(*names: str, units: dict[str, str] | None = None, **columns: list[Any]) -> Table:
+    return Table("file", pa.table({**{name: pa.array(["1"]) for name in names}, **columns}), "", units or {})
+
+
+def test_which_column_a_role_means(expected: Callable[[str, str], None]) -> None:
+    table = column_table("t_s", "v_kmh", "x [km]", "y (m)", "way in mi", "s", "kmh", "a", "p_sd_cm", "lat", "two [m]",
+                         "two [km]", "given", "odd", units={"given": "mph", "odd": "furlong"})
+    out = []
+    for role, text in (("time", "t_s"), ("time", "-t_s"), ("time", "s"), ("speed", "v_kmh"), ("speed", "-v_kmh"),
+                       ("speed", "v_kmh [m/s]"), ("speed", "v_kmh [ms]"), ("speed", "kmh"), ("position", "x [km]"),
+                       ("position", "x"), ("position", "x (m)"), ("position", "y (m)"), ("position", "-y"),
+                       ("position", "way in mi"), ("position", "two"), ("position", "two [m]"),
+                       ("position", "none [m]"), ("position", "none"), ("acceleration", "a"), ("acceleration", "a [g]"), ("speed", "given"),
+                       ("speed", "odd"), ("speed", "odd (m/s)"), ("position_sd", "p_sd_cm"),
+                       ("position_sd", "-p_sd_cm"),
+                       ("latitude", "lat"), ("latitude", "-lat")):
+        found = told(lambda: find_column(table, role, text))  # noqa: B023
+        unit = "" if found.startswith("refused") else told(
+            lambda: need_unit(role, find_column(table, role, text), text))  # noqa: B023
+        out.append(f"{role} = {text}: {found} {unit}")
+    for columns in (["1,5", "2"], ["1.5", "2"], ["1", "2"], ["1,500", "2,000,000"], ["1,500", "2,5"], ["1.500,5"],
+                    ["fast, then 1,5"], ["-,5"], ["0,125"]):
+        for beside in ([], ["1.5"], ["1,25"]):
+            both = column_table(x=columns, y=(beside * len(columns)) or [1.5] * len(columns))
+            out.append(f"{columns} {beside}: {told(lambda: decimal_sign(both, both.names))}")  # noqa: B023
+    expected("recording-roles", "\n".join(out))
+
+
+TIMES: dict[str, Any] = {
+    "ints": [5, None, 7], "milliseconds": [1_760_000_000_123, 1_760_000_000_456], "floats": [0.5, None, 2.0],
+    "unix": [1.76e9, 1.76e9 + 0.5], "border": [6e8, 6e8 + 1], "beyond": [4e9, 4e9 + 1], "none": [None, None],
+    "stamps": pa.array([datetime(2026, 1, 2), None, datetime(2026, 1, 2, 0, 0, 1, 250000)]),
+    "zoned": pa.array([datetime(2026, 1, 2)], pa.timestamp("ms", "UTC")), "words": ["1.5", "2.25"],
+    "iso": ["2026-03-29T01:59:59", "", "2026-03-29 02:00:00,5"], "dates": ["2026-01-02", "2026-01-03"],
+    "utc": ["2026-03-29T01:59:59Z", "2026-03-29T02:00:01 UTC"],
+    "offset": ["2026-03-29T01:59+01:00", "2026-03-29T03:01+02"],
+    "some zone": ["2026-03-29T01:59:59Z", "2026-03-29T02:00:01"], "thirteen": ["2026-13-01T00:00"],
+    "of day": ["23:59:59.5", "NaN", "00:00:01", "0:00:02,25"], "back in a day": ["10:00:00", "09:59:59"],
+    "noon": ["12:00:01", "00:00:01", "12:00:00"], "words of time": ["10:00:00", "later"], "lost": ["Lost", "10:00:00"]}
+
+
+def test_times_of_every_kind_and_their_order(expected: Callable[[str, str], None]) -> None:
+    out = []
+    for name, values in TIMES.items():
+        table = column_table(t=values)
+        for text in ("t", "t [s]", "t [ms]"):
+            column = find_column(table, "time", text)
+            found = told(lambda: seconds(table, column, text, cells_of(["lost"], ".")))  # noqa: B023
+            out.append(f"{name} {text}: {' '.join(found.split())}")
+    nan = float("nan")
+    for time in ([0, 1, 2], [0, 2, 1, 3], [0, 1, 1, 2, 2], [0, 1, 0.5, 0.5], [0, nan, nan], [0, nan],
+                 [7200, 7201, 3602, 3603], [7200, 7201, 3540, 3541], [7200, 7201, 3662, 3663], [0, 900, 1800, -1900]):
+        for order in ("refuse", "sort"):
+            for duplicates in ("refuse", "first", "mean"):
+                found = told(lambda: ordered("file", np.array(time, dtype=float), order, duplicates))  # noqa: B023
+                out.append(f"{time} {order} {duplicates}: {' '.join(found.split())}")
+    expected("recording-times", "\n".join(out))
