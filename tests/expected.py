@@ -48,6 +48,15 @@ def compare(name: str, text: str, rewrite: object) -> None:
     raise AssertionError("\n".join([*shown[:40], "meant to change: pytest --rewrite, see tests/expected.py"]))
 
 
+def digest(value: Any) -> str:
+    """Shape, sum, sum of squares and a sum that tells the order, of what there is."""
+    if isinstance(value, tuple) and any(item is None or np.shape(item) != np.shape(value[0]) for item in value):
+        return " ".join("-" if item is None else digest(item) for item in value)
+    array = np.nan_to_num(np.asarray(value, dtype=float), nan=-7.0, posinf=1e9, neginf=-1e9)
+    ordered = array.reshape(-1) @ np.sqrt(np.arange(1.0, array.size + 1))
+    return f"{array.shape} {array.sum():.8e} {(array**2).sum():.8e} {ordered:.8e}"
+
+
 def figure(svg: str) -> str:
     """An SVG element: a line each text (place, style, words), and of all paths of one style how many, how many points,
     their box and their sum, or what they are where they are few letters."""

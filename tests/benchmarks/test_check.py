@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from railstate.estimators.interface import Interval
 from railstate.estimators.registry import estimators
 
 from ..conftest import Command
+from ..expected import digest
 
 TEMPLATE = '''
 import random as everyone
@@ -185,15 +185,6 @@ def test_what_is_odd_is_a_finding(railstate: Command, old: str, new: str, rule: 
     assert done.code == 1 and f"BROKEN {rule}" in done.out and happened in done.out and "Traceback" not in done.err
     expected(f"findings:{happened[:20].strip()}", told(done.out))
 
-
-
-def digest(value: Any) -> str:
-    """Shape, sum, sum of squares and a sum that tells the order, of what there is."""
-    if isinstance(value, tuple) and any(item is None or np.shape(item) != np.shape(value[0]) for item in value):
-        return " ".join("-" if item is None else digest(item) for item in value)
-    array = np.nan_to_num(np.asarray(value, dtype=float), nan=-7.0)
-    ordered = array.reshape(-1) @ np.sqrt(np.arange(1.0, array.size + 1))
-    return f"{array.shape} {array.sum():.8e} {(array**2).sum():.8e} {ordered:.8e}"
 
 
 def test_the_tapes(expected: Callable[[str, str], None]) -> None:
