@@ -110,7 +110,7 @@ def test_results_as_tables(results: Results, expected: Expected) -> None:
                                              _table(railstate.estimators())]))
 
 
-def _columns(frame: pd.DataFrame) -> list[str]:
+def columns_of(frame: pd.DataFrame) -> list[str]:
     """A line each column: how many numbers, their mean, root mean square, first and last."""
     columns = {"time": frame.index.to_numpy(float), **{str(name): frame[name].to_numpy(float) for name in frame}}
     out = list[str]()
@@ -131,7 +131,7 @@ def test_a_run_s_truth_and_readings(expected: Expected) -> None:
             name = f"{line['scenario']}/{variant}"
             try:
                 found = railstate.simulate(name, place % 3, seed=3, overrides=overrides)
-                out += [name, *_columns(found.truth), *_columns(found.measurements)]
+                out += [name, *columns_of(found.truth), *columns_of(found.measurements)]
             except railstate.InputError as error:  # of sensors that the recording lacks
                 out += [name, str(error)]
     expected("simulated", "\n".join(out))
