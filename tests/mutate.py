@@ -98,7 +98,7 @@ class Room:
             sys.path.insert(0, str(self.tree))
             import pytest
 
-            code = int(pytest.main(["-n", "0", "--dist", "no", "-p", "no:cacheprovider", "--timeout", "100", *words],
+            code = int(pytest.main(["-n", "0", "--dist", "no", "-p", "no:cacheprovider", "--timeout", "300", *words],
                                    plugins=plugins))
         finally:
             sys.stdout.flush()
@@ -175,7 +175,7 @@ def one(room: Room, tests: Tests, fault: Fault, names: list[str], seconds: float
     if names:
         place.write_text(text[:fault.begin] + fault.new + text[fault.end:], encoding="utf-8")
         try:
-            code, by = room.tried(["-x", *names], 100 + 3 * seconds)
+            code, by = room.tried(["-x", *names], 600 + 10 * seconds)
             how = {0: "survives", 1: "caught", None: "caught: no end"}.get(code, f"caught: pytest ends with {code}")
             if code == 0:
                 how = next((f"caught by {words[0]}" for words in CHECKS if refused(room, words, fault.path)), how)

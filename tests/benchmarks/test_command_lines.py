@@ -58,7 +58,7 @@ inspect tram.csv --without 20..30 --without 50..60 : inspect tram.csv --map time
 inspect tram.csv --map time=t : inspect tram.csv --map speed : inspect tram.csv --missing -9999,NA --set order=sort
 inspect tram.csv --set colour=1 : inspect tram.csv --to 0
 inspect metro.csv --balises balises.csv --out my-metro.toml : inspect tram.csv --out no/where.toml
-inspect fixes.csv --quality NARROW_INT=0.05,SINGLE=missing : inspect tram.csv --out "a trip.toml" : show my-metro.toml
+inspect fixes.csv --quality NARROW_INT=0.05,SINGLE=missing : inspect tram.csv --out "a trip.toml"
 check nobody : check kalman --scenario ningbo-metro : check kalman --parameter gain=1
 check ukf --scenario cart.toml/calm --parameter alpha=0.5 : check ukf --parameter alpha=-1 : check cart.toml
 sweep cart.toml/calm --over channel.p : sweep cart.toml/calm --over channel.p= : sweep cart.toml --over =1

@@ -145,8 +145,8 @@ def test_which_column_a_role_means(expected: Callable[[str, str], None]) -> None
                        ("speed", "v_kmh [m/s]"), ("speed", "v_kmh [ms]"), ("speed", "kmh"), ("position", "x [km]"),
                        ("position", "x"), ("position", "x (m)"), ("position", "y (m)"), ("position", "-y"),
                        ("position", "way in mi"), ("position", "two"), ("position", "two [m]"),
-                       ("position", "none [m]"), ("position", "none"), ("acceleration", "a"), ("acceleration", "a [g]"), ("speed", "given"),
-                       ("speed", "odd"), ("speed", "odd (m/s)"), ("position_sd", "p_sd_cm"),
+                       ("position", "none [m]"), ("position", "none"), ("acceleration", "a"), ("acceleration", "a [g]"),
+                       ("speed", "given"), ("speed", "odd"), ("speed", "odd (m/s)"), ("position_sd", "p_sd_cm"),
                        ("position_sd", "-p_sd_cm"),
                        ("latitude", "lat"), ("latitude", "-lat")):
         found = told(lambda: find_column(table, role, text))  # noqa: B023
