@@ -20,6 +20,7 @@ from mutants import PACKAGES, Fault
 
 WHOLE = re.compile(r"^def (test_\w+)\([^)]*\bexpected: (?:Expected|Callable\[\[str, str\], None\])", re.MULTILINE)
 """Tests that compare whole outputs: asked however long they take."""
+TEST = re.compile(r"^def (test_\w+)\(", re.MULTILINE)
 LOADING = "tests/test_defaults.py::test_defaults_and_constants"
 """Looks at all that is made as modules are loaded."""
 SETS_OUT = "short_runs"
@@ -79,20 +80,22 @@ class Tests:
     def __init__(self, folder: Path, tree: Path) -> None:
         self.tree, self.text, self.names = tree, texts(tree), list[str]()
         self.trees = {path: ast.parse(text) for path, text in self.text.items()}
-        self.whole = {f"{path.relative_to(tree)}::{name}" for path in (tree / "tests").rglob("test_*.py")
-                           for name in WHOLE.findall(path.read_text(encoding="utf-8"))}
+        sources = {str(path.relative_to(tree)): path.read_text(encoding="utf-8")
+                   for path in (tree / "tests").rglob("test_*.py")}
+        self.whole = {f"{path}::{name}" for path, text in sources.items() for name in WHOLE.findall(text)}
+        there = {f"{path}::{name}" for path, text in sources.items() for name in TEST.findall(text)}
         self.seconds: list[float] = []
         self.lines: dict[str, dict[int, set[int]]] = {}
         for path in sorted((folder / "home").glob("reach*.json")):
             found, before = json.loads(path.read_text()), len(self.names)
             self.names += [name for name, _ in found["tests"]]
             self.seconds += [seconds for _, seconds in found["tests"]]
+            gone = {number for number, (name, _) in enumerate(found["tests"]) if name.partition("[")[0] not in there}
             for file, lines in found["lines"].items():
-                now = moved(found["text"][file], self.text.get(file, ""))
-                mine = self.lines.setdefault(file, {})
+                now, mine = moved(found["text"][file], self.text.get(file, "")), self.lines.setdefault(file, {})
                 for line, numbers in lines.items():
                     if (place := now.get(int(line))) is not None:
-                        mine.setdefault(place, set()).update(number + before for number in numbers)
+                        mine.setdefault(place, set()).update(number + before for number in set(numbers) - gone)
 
     def of(self, fault: Fault, most: float) -> list[str]:
         """Those that reach a fault: its statement, the users of what it makes, its module, its package. Quick ones
