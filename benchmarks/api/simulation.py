@@ -11,6 +11,7 @@ import numpy as np
 from ...scenarios.arrays import Array
 from ...scenarios.errors import InputError
 from ...scenarios.randomness import Streams
+from ...scenarios.setting import Setting
 from ..planning.naming import find_one
 
 if TYPE_CHECKING:
@@ -37,8 +38,12 @@ def simulate(scenario: str | Path, run: int = 0, *, seed: int = 1,
     if run < 0:
         raise InputError(f"run = {run}: must be 0 or more")
     found, variant = find_one(str(scenario), overrides)
-    setting = found.setting(variant)
-    world = setting.world(Streams(seed, found.name, variant, (run,)))
+    return simulated(found.setting(variant), Streams(seed, found.name, variant, (run,)))
+
+
+def simulated(setting: Setting[Any], streams: Streams) -> Simulated:
+    """The same of a setting; the streams of one run."""
+    world = setting.world(streams)
     model = setting.design_model({}, world.initial_mean)
     times: list[float] = []
     truths: list[Array] = []
