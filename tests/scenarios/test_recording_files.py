@@ -10,6 +10,7 @@ import gzip
 import io
 import lzma
 import operator
+import re
 import zipfile
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -26,7 +27,10 @@ from railstate.scenarios.recorded.columns import cells_of, decimal_sign, find_co
 from railstate.scenarios.recorded.readers import files
 from railstate.scenarios.recorded.readers.reading import read
 from railstate.scenarios.recorded.readers.table import Table
+from railstate.scenarios.recorded.recording import Meaning, read_recording
 from railstate.scenarios.recorded.times import ordered, seconds
+
+from ..recordings import tram
 
 PLAIN = "t [s],x [m]\n0,1.5\n1,2.5\n2,-4\n"
 
@@ -190,3 +194,57 @@ def test_times_of_every_kind_and_their_order(expected: Callable[[str, str], None
                 found = told(lambda: ordered("file", np.array(time, dtype=float), order, duplicates))  # noqa: B023
                 out.append(f"{time} {order} {duplicates}: {' '.join(found.split())}")
     expected("recording-times", "\n".join(out))
+
+
+CANNOT: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("time=t_s latitude=s_gnss_m", "", {}), ("time=t_s position=s_gnss_m latitude=odo_m longitude=odo_m", "", {}),
+    ("time=t_s speed=v_kmh", "", {}), ("position=s_gnss_m", "", {}),
+    ("time=t_s position=s_gnss_m speed_sd=v_kmh", "", {}),
+    ("time=t_s position=s_gnss_m position_sd=g_m", "g_m", {}), ("time=t_s position=s_gnss_m control=v_kmh [-]", "", {}),
+    ("time=t_s position=s_gnss_m speed=v_kmh [furlong]", "", {}),
+    ("time=t_s position=s_gnss_m odometer=odo_m", "dead", {}), ("time=t_s position=s_gnss_m odometer=odo_m", "few", {}),
+    ("time=t_s position=s_gnss_m", "gone", {}), ("time=t_s position=s_gnss_m", "", {"span": (40.0, 30.0)}),
+    ("time=t_s position=s_gnss_m", "", {"without": ((0.0, 9e9),)}),
+    ("time=t_s position=s_gnss_m odometer=odo_m", "", {"wrap": 5.0}),
+    ("time=t_s latitude=s_gnss_m longitude=odo_m", "", {}), ("time=t_s latitude=g_m longitude=g_m", "gone", {}),
+    ("time=t_s latitude=g_m longitude=g_m", "near", {"track": "absent.geojson"}),
+    *(("time=t_s latitude=g_m longitude=g_m", "near", {"track": track}) for track in (
+        "", "[]", "{}", '{"type": "Point", "coordinates": [1, 2]}', '{"type": "LineString", "coordinates": [[1, 2]]}',
+        '{"type": "LineString", "coordinates": [["a", 2], [3, 4]]}',
+        '{"type": "LineString", "coordinates": [[1, 200], [3, 4]]}',
+        '{"type": "MultiLineString", "coordinates": [[[1, 2], [3, 4]], [[50, 60], [51, 60]]]}')),
+    ("time=t_s reference_position=s_ref_m wheel-a=odo_m", "dead", {}),
+    ("time=t_s reference_position=s_ref_m wheel-a=odo_m wheel-b=g_m", "few", {}),
+    ("time=t_s wheel-a=odo_m balise=g_m", "words", {}),
+    ("time=t_s wheel-a=odo_m balise=g_m", "words", {"balises": "B.csv"}),
+    ("time=t_s wheel-a=odo_m balise=g_m", "words", {"balises": (("a", 1.0),)}),
+    ("time=t_s position=s_gnss_m position_sd=g_m", "words", {"quality": (("a", 1.0), ("c", 2.0))}))
+
+
+def test_recordings_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                   expected: Callable[[str, str], None]) -> None:
+    monkeypatch.chdir(tmp_path)
+    nan, out = float("nan"), []
+    for columns, change, options in CANNOT:
+        table = tram().assign(g_m=0.0)
+        if change == "g_m":
+            table.loc[7, "g_m"] = -2.0
+        elif change == "dead":
+            table["odo_m"] = 4.0
+        elif change == "few":
+            table["odo_m"] = table["odo_m"].where(table.index < 2)
+        elif change == "gone":
+            table[["s_gnss_m", "g_m"]] = nan
+        elif change == "near":
+            table["g_m"] = 47 + 1e-5 * table.index
+        elif change == "words":
+            table["g_m"] = np.where(table.index % 9 == 1, "a", np.where(table.index % 9 == 2, "b", ""))
+        table.to_csv("trip.csv", index=False)
+        given = dict(options)
+        if "track" in given and given["track"] != "absent.geojson":
+            Path("track.geojson").write_text(given["track"])
+            given["track"] = "track.geojson"
+        roles = tuple(sorted(tuple(part.split("=")) for part in re.split(r" (?=[\w-]+=)", columns)))
+        found = told(lambda: read_recording("trip.csv", Meaning(roles, **given)).said)  # noqa: B023
+        out.append(f"{columns} {change} {options}: {found}")
+    expected("recordings-that-cannot-be", "\n".join(out))
