@@ -26,7 +26,7 @@ PLANS: list[tuple[list[str], dict[str, Any]]] = [
     (["ningbo-metro"], {}), (["ningbo-metro/white"], {"only": ["ukf", "ekf"]}), (["cbtc-csma/protocol-*"], {}),
     (["cbtc-csma/none-*"], {}), (["rap-example-1/printed", "rap-example-1"], {"only": ["kalman"]}), (["nobody"], {}),
     (["cbtc-csma", "rap-example-1"], {"only": ["random-access"]}), (["rap-example-1"], {"only": ["gsma"]}),
-    (["rap-example-1"], {"only": ["nobody"]}), ([], {"only": ["imm-third"]}),
+    (["rap-example-1"], {"only": ["nobody"]}), (["rap-example-1"], {"only": ["ekf", "nobody"]}),
     (["rap-example-1"], {"runs": 0}), (["rap-example-1"], {"seed": -1}), (["rap-example-1"], {"keep": -1}),
     (["rap-example-1"], {"runs": 1, "seed": 0, "keep": 0}), (["recorded"], {}), (["cart.toml/calm"], {}),
     (["cart.toml/calm"], {"plugins": ["half.py"]}), (["cart.toml"], {"plugins": ["half.py"], "only": ["half", "slow"]}),
@@ -51,8 +51,8 @@ def said(call: Callable[[], str]) -> str:
 
 def of(plan: Plan) -> str:
     cells = "\n".join(f"  {cell.key} {cell.runs} " + "; ".join(
-        f"{label}: {entry.model_dump(exclude_defaults=True, exclude={'note'})}" for label, entry in cell.entries.items())
-        for cell in plan.cells)
+        f"{label}: {entry.model_dump(exclude_defaults=True, exclude={'note'})}"
+        for label, entry in cell.entries.items()) for cell in plan.cells)
     return f"{plan.runs} {plan.seed} {plan.keep} {plan.changes} {plan.catalogue.loose}\n{cells}"
 
 
