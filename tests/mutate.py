@@ -149,7 +149,8 @@ def attempt(room: Room, options: argparse.Namespace) -> None:
         for number in left:
             if time.monotonic() > until:
                 break
-            names = [name for name in tests.of(faults[number], options.seconds) if name not in unfit]
+            chosen = tests.of(faults[number], options.seconds) if options.tests == ["tests"] else options.tests
+            names = [name for name in chosen if name not in unfit]
             said = {"number": number, **one(room, tests, faults[number], names, options.seconds)}
             catchers |= dict.fromkeys([number], said["by"]) if said["by"] else {}
             with (room.folder / f"tried{options.name}.jsonl").open("a") as out:
@@ -192,7 +193,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=["reach", "try"])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("tests", nargs="*", default=["tests"])
+    parser.add_argument("tests", nargs="*", default=["tests"], help="to reach lines with, or to try faults against "
+                        "instead of those that reach them")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--modules", type=int, default=50)
     parser.add_argument("--each", type=int, default=4)
