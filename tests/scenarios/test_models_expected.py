@@ -87,7 +87,10 @@ def answers(model: DesignModel, step: Step) -> Iterator[str]:
     if isinstance(model.inclusion, Inclusion):
         between = model.inclusion.predict(model.inclusion.low + np.zeros(len(RUNS)), model.inclusion.high + np.zeros(
             len(RUNS)), step.u, Interval(number, step.start, step.length))
-        yield f"inclusion {[digest(end) for end in (*between, *model.inclusion.observe(*between, heard))]}"
+        y = model.measurement(x, number)
+        full = Measurement(y, np.ones(y.shape, dtype=bool), number)
+        for one in (heard, full):
+            yield f"inclusion {[digest(end) for end in (*between, *model.inclusion.observe(*between, one))]}"
 
 
 def told(model: DesignModel, step: Step) -> list[str]:

@@ -62,6 +62,8 @@ TRAM: dict[str, tuple[Change, dict[str, str], dict[str, Any]]] = {
     "position, its reference": (lambda table: table, {**ONLY, "reference_position": "s_ref_m"}, {}),
     "odometer": (lambda table: table, {"time": "t_s", "odometer": "odo_m", "speed": "v_kmh"}, {}),
     "turned": (lambda table: table.assign(acc_mps2=-table.acc_mps2), {**MAP, "acceleration": "-acc_mps2"}, {}),
+    "told worse than nothing": (lambda table: coarse(table).assign(gnss_sd=2.0 - table.index / 60),
+                                {**MAP, "position_sd": "gnss_sd [m]"}, {}),
     "told": (coarse, {**MAP, "position_sd": "gnss_sd [m]"}, {}), "coarse reference": (coarse, MAP, {}),
     "control": (lambda table: table.assign(u=np.sin(table.t_s / 9)), {**MAP, "control": "u"}, {}),
     "balise": (lambda table: table.assign(b=table.s_ref_m.where(table.index % 40 == 7)),
