@@ -67,11 +67,13 @@ def figure(svg: str) -> str:
         data = facts.pop("d", "")
         said = " ".join([node.tag.rpartition("}")[2], *(facts.values()), (node.text or "").strip(),
                          *(child.text or "" for child in node if node is not root and child.tag.endswith("title"))])
-        if re.fullmatch(r"M[\d -]+l[\d -]+z?", data):
-            steps = np.array(re.findall(r"-?\d+", data), int).reshape(-1, 2)
-            paths.setdefault(said + " closed" * data.endswith("z"), []).append(np.cumsum(steps, axis=0))
+        if re.fullmatch(r"(M[\d -]+l[\d -]+z?)+", data):
+            for steps, closed in re.findall(r"(M[\d -]+l[\d -]+)(z?)", data):
+                ways = np.array(re.findall(r"-?\d+", steps), int).reshape(-1, 2)
+                paths.setdefault(said + " closed" * bool(closed), []).append(np.cumsum(ways, axis=0))
         elif not node.tag.endswith("title") or node.text == root[0].text:
-            lines.append(f"{said} {data if len(data) < 60 else f'{len(data)} {data[:24]} .. {data[-24:]}'}")
+            total = sum(map(int, re.findall(r"-?\d+", data)))
+            lines.append(f"{said} {data if len(data) < 60 else f'{len(data)} {total} {data[:24]} .. {data[-24:]}'}")
     for said, each in paths.items():
         points = np.concatenate(each)
         lines.append(f"{said} {len(each)} of {len(points)}: {points.min(0)} {points.max(0)} {points.sum(0)}")
