@@ -19,11 +19,12 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from ..scenarios.errors import InputError
+from ..scenarios.registry import SUITE, distribution
 from ..scenarios.schema import LABEL
 from ..scenarios.source import LOOSE
 from .interface import Estimator, first_edition
 
-GROUP, SUITE = "railstate.estimators", "railstate"
+GROUP = "railstate.estimators"
 GIVEN = ".pickle"
 """How files end that hold a class which was given in Python, by value; it is called as the file is."""
 _loose: dict[str, type[Estimator]] = {}
@@ -32,7 +33,7 @@ _loose: dict[str, type[Estimator]] = {}
 @cache
 def estimators() -> dict[str, type[Estimator]]:
     """The suite's own estimators by name."""
-    return {point.name: point.load() for point in sorted(entry_points(group=GROUP)) if _distribution(point) == SUITE}
+    return {point.name: point.load() for point in sorted(entry_points(group=GROUP)) if distribution(point) == SUITE}
 
 
 @cache
@@ -41,22 +42,18 @@ def installed() -> dict[str, EntryPoint]:
     found: dict[str, EntryPoint] = {}
     twice: set[str] = set()
     for point in sorted(entry_points(group=GROUP)):
-        if _distribution(point) == SUITE:
+        if distribution(point) == SUITE:
             continue
         if point.name in estimators() or not re.fullmatch(LABEL, point.name):
             why = "the suite has an estimator of this name" if point.name in estimators() else "no name for estimators"
-            warnings.warn(f"plug-in {point.name!r} of {_distribution(point)} is left out: {why}", stacklevel=2)
+            warnings.warn(f"plug-in {point.name!r} of {distribution(point)} is left out: {why}", stacklevel=2)
         elif point.name in found:
             twice.add(point.name)
-            warnings.warn(f"plug-in {point.name} is left out: {_distribution(found[point.name])} and "
-                          f"{_distribution(point)} both have one of this name", stacklevel=2)
+            warnings.warn(f"plug-in {point.name} is left out: {distribution(found[point.name])} and "
+                          f"{distribution(point)} both have one of this name", stacklevel=2)
         else:
             found[point.name] = point
     return {name: point for name, point in found.items() if name not in twice}
-
-
-def _distribution(point: EntryPoint) -> str:
-    return point.dist.name if point.dist is not None else "a package without a name"
 
 
 def estimator_class(name: str, where: str) -> type[Estimator]:

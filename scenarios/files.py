@@ -204,15 +204,17 @@ def _strays(variants: Collection[dict[str, Any]], own: Mapping[str, Any], touche
     """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden,
     nor those of a base, of which there may be less left. own: the file's own table."""
     tables = [own, *own.get("variants", {}).values()]
-    said = {key: {path for table in tables for path in table.get(key, ())} for key in ("origin", "fitted")}
-    try:
-        configs = [setting_for(table["plant"]["kind"], "").Config.model_validate(table) for table in variants]
-    except ValidationError:  # of a variant that nobody asked for
-        return []
-    if not configs:
-        return []
-    return [f"{key}.{path}: names no key of this scenario" for key in said for path in sorted(said[key])
-            if path.partition(".")[0] not in touched and not any(_names_a_key(path, config) for config in configs)]
+    left = [(key, path) for key in ("origin", "fitted") for path in sorted(
+        {path for table in tables for path in table.get(key, ())}) if path.partition(".")[0] not in touched]
+    for table in variants:
+        if not left:
+            break
+        try:
+            config = setting_for(table["plant"]["kind"], "").Config.model_validate(table)
+        except ValidationError:  # of a variant that nobody asked for
+            return []
+        left = [(key, path) for key, path in left if not _names_a_key(path, config)]
+    return [f"{key}.{path}: names no key of this scenario" for key, path in left] if variants else []
 
 
 def _names_a_key(path: str, config: Any) -> bool:

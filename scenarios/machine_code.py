@@ -162,9 +162,11 @@ def folder(module: Path) -> Path | None:
 
 def closure(module: Path) -> list[Path]:
     """A module and all that it imports from its own package or from packages beside it."""
-    taken = [module]
+    taken, seen = [module], {module}
     for path in taken:
-        taken += [found for found in _imported(path) if found not in taken]
+        new = [found for found in _imported(path) if found not in seen]
+        taken += new
+        seen.update(new)
     return taken
 
 
@@ -185,12 +187,12 @@ def _text(path: Path) -> str:
 @cache
 def _imported(path: Path) -> tuple[Path, ...]:
     """The files that the relative imports at the top of a module mean, this one left out, which holds no kernel."""
-    found: list[Path] = []
+    found: dict[str, None] = {}
     for dots, name, names in _IMPORT.findall(_text(path)):
-        module = path.parents[len(dots) - 1].joinpath(*filter(None, name.split(".")))
-        for each in [module, *(module / word for word in re.findall(r"\w+", names))]:
-            found += [each.with_suffix(".py"), each / "__init__.py"]
-    return tuple(file for file in dict.fromkeys(found) if file != Path(__file__) and file.is_file())
+        module = os.path.join(path.parents[len(dots) - 1], *filter(None, name.split(".")))  # many: texts, not paths
+        for each in [module, *(os.path.join(module, word) for word in re.findall(r"\w+", names))]:
+            found |= {f"{each}.py": None, os.path.join(each, "__init__.py"): None}
+    return tuple(Path(file) for file in found if file != __file__ and os.path.isfile(file))
 
 
 def place(stem: str, version: str) -> Path | None:

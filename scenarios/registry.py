@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -41,8 +41,18 @@ def load_group(group: str) -> dict[str, Any]:
     return found
 
 
+def distribution(point: EntryPoint) -> str:
+    """The name of the package that an entry point is of."""
+    return _name(point.dist) if point.dist is not None else "a package without a name"
+
+
+@cache
+def _name(found: Distribution) -> str:
+    return found.name  # read from its metadata each time
+
+
 def _own(point: EntryPoint) -> bool:
-    return point.dist is not None and point.dist.name == SUITE
+    return distribution(point) == SUITE
 
 
 @contextmanager

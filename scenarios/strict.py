@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 class Strict(BaseModel):
     """Base of every table of a scenario file: no unknown keys, no changes after loading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=(),
+                              defer_build=True)  # made when a file is read, not on import
 
 
 def key(text: str, unit: str = "") -> Any:

@@ -29,18 +29,32 @@ def alike(old: str, new: str, number: re.Pattern[str] = NUMBER) -> bool:
 
 
 def compare(name: str, text: str, rewrite: object) -> None:
-    """Assert that the text is what `expected/name.txt` holds, or write it there."""
+    """Assert that the text is what `expected/name.txt` holds, or write it there; NAME:PART is a part of that file, for
+    tests of many cases (written by `pytest -n 0 --rewrite`)."""
+    name, _, part = name.partition(":")
     path = FOLDER / f"{name}.txt"
     new = [line.rstrip() for line in text.splitlines()]
-    old = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    whole = path.read_text(encoding="utf-8") if path.exists() else ""
+    parts = dict(found.partition("\n")[::2] for found in whole.split("\n=== ")[1:]) if part else {"": whole}
+    old = parts.get(part, "").splitlines()
     number = PLACE if name.startswith("figures") else NUMBER
     if len(old) == len(new) and all(alike(*pair, number) for pair in zip(old, new, strict=True)):
         return
     if rewrite:
-        path.write_text("\n".join(new) + "\n", encoding="utf-8")
+        parts[part] = "\n".join(new) + "\n"
+        path.write_text("".join(f"\n=== {key}\n{parts[key]}" for key in sorted(parts)) if part else parts[""], "utf-8")
         return
-    shown = list(difflib.unified_diff(old, new, f"expected/{name}.txt", "now", lineterm="", n=0))
+    shown = list(difflib.unified_diff(old, new, f"expected/{name}.txt {part}", "now", lineterm="", n=0))
     raise AssertionError("\n".join([*shown[:40], "meant to change: pytest --rewrite, see tests/expected.py"]))
+
+
+def digest(value: Any) -> str:
+    """Shape, sum, sum of squares and a sum that tells the order, of what there is."""
+    if isinstance(value, tuple) and any(item is None or np.shape(item) != np.shape(value[0]) for item in value):
+        return " ".join("-" if item is None else digest(item) for item in value)
+    array = np.nan_to_num(np.asarray(value, dtype=float), nan=-7.0, posinf=1e9, neginf=-1e9)
+    ordered = array.reshape(-1) @ np.sqrt(np.arange(1.0, array.size + 1))
+    return f"{array.shape} {array.sum():.8e} {(array**2).sum():.8e} {ordered:.8e}"
 
 
 def figure(svg: str) -> str:
@@ -53,11 +67,13 @@ def figure(svg: str) -> str:
         data = facts.pop("d", "")
         said = " ".join([node.tag.rpartition("}")[2], *(facts.values()), (node.text or "").strip(),
                          *(child.text or "" for child in node if node is not root and child.tag.endswith("title"))])
-        if re.fullmatch(r"M[\d -]+l[\d -]+z?", data):
-            steps = np.array(re.findall(r"-?\d+", data), int).reshape(-1, 2)
-            paths.setdefault(said + " closed" * data.endswith("z"), []).append(np.cumsum(steps, axis=0))
+        if re.fullmatch(r"(M[\d -]+l[\d -]+z?)+", data):
+            for steps, closed in re.findall(r"(M[\d -]+l[\d -]+)(z?)", data):
+                ways = np.array(re.findall(r"-?\d+", steps), int).reshape(-1, 2)
+                paths.setdefault(said + " closed" * bool(closed), []).append(np.cumsum(ways, axis=0))
         elif not node.tag.endswith("title") or node.text == root[0].text:
-            lines.append(f"{said} {data if len(data) < 60 else f'{len(data)} {data[:24]} .. {data[-24:]}'}")
+            total = sum(map(int, re.findall(r"-?\d+", data)))
+            lines.append(f"{said} {data if len(data) < 60 else f'{len(data)} {total} {data[:24]} .. {data[-24:]}'}")
     for said, each in paths.items():
         points = np.concatenate(each)
         lines.append(f"{said} {len(each)} of {len(points)}: {points.min(0)} {points.max(0)} {points.sum(0)}")

@@ -11,6 +11,7 @@ import numpy as np
 from ...scenarios.arrays import Array
 from ...scenarios.errors import InputError
 from ...scenarios.randomness import Streams
+from ...scenarios.setting import Setting
 from ..planning.naming import find_one
 
 if TYPE_CHECKING:
@@ -29,15 +30,20 @@ def simulate(scenario: str | Path, run: int = 0, *, seed: int = 1,
              overrides: Mapping[str, Any] | None = None) -> Simulated:
     """A run's truth and measurements, those that `railstate run` has under the same seed and number.
 
-    scenario: a built-in name, NAME/VARIANT or a TOML file. truth: the state in SI units, then the parameters behind
-    it, NaN where unknown. measurements: inputs told over the interval that ends there (`input 1`, ..), the readings;
-    where some come late, by how many steps (`NAME late`), and where sensors fail, whether a reading is faulty
-    (`NAME faulty`). In a closed loop the trains are steered by their true states. Raises InputError."""
+    scenario: a built-in name, NAME/VARIANT or a TOML file. truth: the state in SI units (of a recording: position and
+    speed), then the parameters behind it, NaN where unknown. measurements: inputs told over the interval that ends
+    there (`input 1`, ..), the readings; where some come late, by how many steps (`NAME late`), and where sensors fail,
+    whether a reading is faulty (`NAME faulty`). In a closed loop the trains are steered by their true states. Raises
+    InputError."""
     if run < 0:
         raise InputError(f"run = {run}: must be 0 or more")
     found, variant = find_one(str(scenario), overrides)
-    setting = found.setting(variant)
-    world = setting.world(Streams(seed, found.name, variant, (run,)))
+    return simulated(found.setting(variant), Streams(seed, found.name, variant, (run,)))
+
+
+def simulated(setting: Setting[Any], streams: Streams) -> Simulated:
+    """The same of a setting; the streams of one run."""
+    world = setting.world(streams)
     model = setting.design_model({}, world.initial_mean)
     times: list[float] = []
     truths: list[Array] = []
@@ -67,6 +73,7 @@ def simulate(scenario: str | Path, run: int = 0, *, seed: int = 1,
 
     values = np.array(truths)
     names = [*model.states[:model.own], *(f"parameter {i + 1}" for i in range(values.shape[1] - model.own))]
+    names = names[:values.shape[1]]  # a recording knows the first of the states alone
     return Simulated(pd.DataFrame(values, pd.Index(times, name="time"), names),
                      pd.DataFrame(lines, pd.Index(stamps, name="time")))
 

@@ -21,7 +21,7 @@ from ..planning.catalogue import Catalogue, Described
 from ..planning.naming import find_one
 from ..planning.plan import check_variants
 from ..telling.console import print_table, wrapped
-from .options import Sets, overrides
+from .options import Plugins, Sets, overrides
 
 BASE = "what it inherits: a built-in scenario, NAME/VARIANT (that variant alone), or the path of a TOML file"
 VARIANTS = "named overrides of the tables, one with a `base` over those of another variant; the first is the default"
@@ -43,10 +43,11 @@ def show(
     out: Annotated[str, typer.Option(metavar="DIR", help="A results folder: where an estimator was best, worse, lost "
                                                          "in it.")] = "",
     keys: Annotated[bool, typer.Option("--keys", help="What each key of such a scenario file says, its unit.")] = False,
+    plugin: Plugins = [],  # noqa: B006
 ) -> None:
     """Show a scenario resolved, or an estimator's page: equations, needs, claims, parameters, record in a folder."""
     changes = overrides(set_)
-    catalogue = Catalogue()
+    catalogue = Catalogue(plugin)
     if name in catalogue.names():
         if changes:
             raise InputError(f"--set {next(iter(changes))}: {name} is an estimator; a scenario's keys can be set")

@@ -222,8 +222,8 @@ def _requirements(store: Store, told: Sweep, table: pd.DataFrame) -> None:
 
 
 def _axis(text: str) -> tuple[str, list[Any]]:
-    key, equals, values = text.partition("=")
-    if not equals or not values:
+    key, _, values = text.partition("=")
+    if not key or not values:
         raise InputError(f"--over {text}: expected KEY=V1,V2,.., such as channel.trains=1,2,3")
     parsed = value(f"[{values}]")
     listed = parsed if isinstance(parsed, list) else [value(item) for item in values.split(",")]

@@ -101,7 +101,7 @@ def _unknown(plan: Plan, manifest: dict[str, Any]) -> Iterator[tuple[str, str, s
     for cell in plan.cells:
         stored = manifest["configuration"]["cells"][cell.key]
         present = {label: entry for label, entry in cell.entries.items() if entry.plugin in names}
-        for label in cell.entries.keys() - present.keys():
+        for label in [one for one in cell.entries if one not in present]:
             yield cell.key, label, f"{cell.entries[label].plugin} is not known here: give its file with --plugin"
         try:
             now = replace(plan, cells=(replace(cell, entries=present),)).configuration()["cells"][cell.key]

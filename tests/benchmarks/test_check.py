@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
-from railstate.benchmarks.conformance import check, tapes
+from railstate.benchmarks.conformance import check, rules, tapes
 from railstate.benchmarks.conformance.rules import RULES
 from railstate.estimators.baselines import Direct
+from railstate.estimators.interface import Interval
 from railstate.estimators.registry import estimators
 
 from ..conftest import Command
+from ..expected import digest
 
 TEMPLATE = '''
 import random as everyone
@@ -79,6 +84,11 @@ LOSE_WHAT_IS_SINGULAR = ("filterpy-ckf", "filterpy-ukf")
 """Cholesky factors of a covariance that is singular, as that library takes them, do not exist."""
 
 
+def told(out: str) -> str:
+    """What is printed, without places and numbers of many digits: some are drawn from nowhere."""
+    return re.sub(r"-?\d+\.\d{5,}(e[+-]\d+)?", "#", out.replace(str(Path.cwd()), "."))
+
+
 def plugin(folder: Path, rule: str) -> Path:
     """A file with a class that breaks one rule, and only by that."""
     old, new, _ = CHANGES[rule]
@@ -98,8 +108,10 @@ def once() -> Iterator[None]:
 
 @pytest.mark.usefixtures("once")
 @pytest.mark.parametrize("name", sorted(estimators()))
-def test_every_built_in_keeps_every_rule(name: str) -> None:
+def test_every_built_in_keeps_every_rule(name: str, expected: Callable[[str, str], None]) -> None:
     report = check(estimators()[name], name, {})
+    cases = [f"{case}: {' '.join(rule[:5] for rule in kept)}" for case, kept in report.kept.items()]
+    expected(f"kept:{name}", "\n".join([*cases, *map(str, report.findings), *map(": ".join, report.left_out.items())]))
     if name in LOSE_WHAT_IS_SINGULAR:
         assert [(found.rule, found.case) for found in report.findings] == [("valid data", "braking-rate/paper")]
         return
@@ -132,9 +144,10 @@ def test_the_plug_in_they_are_made_from_keeps_every_rule(railstate: Command) -> 
 
 
 @pytest.mark.parametrize("rule", CHANGES)
-def test_a_broken_plug_in_is_caught(railstate: Command, rule: str) -> None:
+def test_a_broken_plug_in_is_caught(railstate: Command, rule: str, expected: Callable[[str, str], None]) -> None:
     done = railstate("check", plugin(railstate.folder, rule), "--scenario", "cart.toml/calm")
     assert done.code == 1 and done.err == ""
+    expected(f"findings:{rule}", told(done.out))
     findings = [part for part in done.out.split("\nBROKEN ") if part.startswith(f"{rule} (")]
     assert len(findings) in (1, 2), done.out
     expected, happened, mend = (line.split(":", 1)[1].strip() for line in findings[0].splitlines()[1:4])
@@ -164,8 +177,55 @@ def test_a_broken_plug_in_is_caught(railstate: Command, rule: str) -> None:
     ("Estimate(self.x,", "Estimate(self.x.astype(np.float32),", "shapes", "float32"),
 ], ids=["no-super", "needs", "init", "list", "dies", "base-exception", "interrupt", "certain", "singular", "inexact",
         "wrong", "float32"])
-def test_what_is_odd_is_a_finding(railstate: Command, old: str, new: str, rule: str, happened: str) -> None:
+def test_what_is_odd_is_a_finding(railstate: Command, old: str, new: str, rule: str, happened: str,
+                                  expected: Callable[[str, str], None]) -> None:
     assert TEMPLATE.count(old) == 1
     (railstate.folder / "odd.py").write_text(TEMPLATE.replace(old, new))
     done = railstate("check", "odd.py", "--scenario", "cart.toml/calm")
     assert done.code == 1 and f"BROKEN {rule}" in done.out and happened in done.out and "Traceback" not in done.err
+    expected(f"findings:{happened[:20].strip()}", told(done.out))
+
+
+
+def test_the_tapes(expected: Callable[[str, str], None]) -> None:
+    """What estimators are fed: every field, of some of the runs as well; the model: its matrices and functions."""
+    out = list[str]()
+    interval = Interval(3, 3.0, np.array([0.0, 0.4, 1.0]), np.array([0.0, 0.4, 1.0]))
+    x, u = np.array([[1.0, 2.0, 3.0], [5.0, 7.0, 9.0]]), np.array([[0.5, -0.5, 1.0]])
+    cases = [tapes.small_case({}), tapes.telling_case({})]
+    cases += [tapes.scenario_case(estimators()["ekf"], "ekf", {}, wanted) for wanted in (
+        "rap-example-1/late", "ningbo-metro/late", "moving-block", "odometry/wet")]
+    for case in filter(None, cases):
+        for tape in (case.tape, case.tape.only([2, 0])):
+            out += [f"{case.name} {tape.steps} {tape.firsts} {tape.closed_loop} {case.exact_parts}",
+                    *(f"  {field.name} {digest(getattr(tape, field.name))}" for field in fields(tape))]
+            step = tape.step(tape.steps - 1, tape.initial_mean)
+            out.append(f"  {step.number} {step.start} {step.length} {[digest(event.y) for event in step.events]}")
+    for case in cases[:2]:
+        assert case
+        model = case.model(case.tape.initial_mean)
+        out += [f"  {name} {digest(value)}" for name, value in rules._arrays(model)]
+        assert model.bounds and model.bounds.part
+        out += [f"  {digest(value)}" for value in (
+            model.transition(x, u, interval), model.transition_jacobian(x, u, interval), model.bounds.part(interval),
+            model.process_covariance(x, u, interval), model.measurement(x, 3), model.measurement_jacobian(x, 3))]
+    expected("tapes", "\n".join(out))
+
+
+def test_what_no_covariance_is() -> None:
+    said = {name: rules._not_a_covariance(np.array(matrix)) for name, matrix in {
+        "nan": [[np.nan]], "inf": [[1.0, np.inf], [np.inf, 1.0]], "zero": [[0.0]], "below": [[1.0, 0.0], [0.0, -1e-8]],
+        "rounding": [[1.0, 0.0], [0.0, -1e-9]], "uneven": [[2.0, 1.0], [1.1, 2.0]], "even": [[2.0, 1.0], [1.0, 2.0]],
+        "nearly": [[1.0, 1e-9], [0.0, 1.0]], "large": [[1e3, 0.0], [0.0, -2e-6]]}.items()}
+    assert said == {"nan": "is not finite", "inf": "is not finite", "zero": None, "rounding": None, "even": None,
+                    "nearly": None, "below": "has the negative eigenvalue -1e-08",
+                    "uneven": "is not symmetric: [[2.0, 1.0], [1.1, 2.0]]",
+                    "large": "has the negative eigenvalue -2e-06"}
+    one, slack = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([0.1, 0.1])
+    flat = np.array([[4.0, 2.0], [2.0, 1.0]])
+    assert [rules._excluded(matrix, np.array(error), slack) for matrix, error in (
+        (one, [9.0, 0.1]), (one, [0.0, -0.2]), (flat, [2.0, 1.0]), (flat, [4.0, -2.0]), (flat, [1.4, -0.7]),
+        (np.zeros((2, 2)), [0.3, 0.2]), (np.eye(2), [9.0, 9.0]))] == [
+        None, "has no variance of element 1, whose error is -0.2", None,
+        "is singular, and leaves no room for the error [4.0, -2.0]", None,
+        "has no variance of element 0, whose error is 0.3", None]

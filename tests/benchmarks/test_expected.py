@@ -148,7 +148,8 @@ def test_help_and_lists(railstate: Command, expected: Expected) -> None:
     out = [railstate("--help").out, *(railstate(name, "--help").out for name in cli.COMMANDS),
            *(railstate("new", name, "--help").out for name in ("estimator", "scenario", "recording"))]
     expected("help", "\n".join(out))
-    shown = ("list",), ("show", "cart.toml", "--plugin", "half.py"), ("show", "rap-example-1"), ("show", "imm")
+    shown = (("list",), ("show", "cart.toml", "--plugin", "half.py"), ("show", "half", "--plugin", "half.py"),
+             ("show", "rap-example-1"), ("show", "imm"))
     expected("lists", "\n".join(railstate(*words).out for words in shown))
 
 

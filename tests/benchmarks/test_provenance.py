@@ -15,15 +15,19 @@ from ..conftest import PLUGIN
 
 
 def test_the_commit_is_never_that_of_a_repository_around(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def git(*words: str) -> None:
-        subprocess.run(["git", "-c", "user.name=x", "-c", "user.email=x@y", *words], cwd=tmp_path, check=True,
+    def git(*words: str, to: Path = tmp_path) -> None:
+        subprocess.run(["git", "-c", "user.name=x", "-c", "user.email=x@y", *words], cwd=to, check=True,
                        capture_output=True)
 
     git("init")
+    other = tmp_path / "other"
+    other.mkdir()
+    git("init", to=other)
+    git("commit", "--allow-empty", "-m", "y", to=other)
     inner = tmp_path / "site" / "railstate"
     inner.mkdir(parents=True)
     (inner / "provenance.py").write_text("")
-    git("add", ".")
+    git("add", "site")
     git("commit", "-m", "x")
     monkeypatch.setattr(provenance, "ROOT", inner)
     monkeypatch.setattr(provenance, "__file__", str(inner / "provenance.py"))
@@ -31,6 +35,7 @@ def test_the_commit_is_never_that_of_a_repository_around(tmp_path: Path, monkeyp
     monkeypatch.setenv("GIT_DIR", str(tmp_path / ".git"))
     assert provenance.environment()["git_commit"] is None
     monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    monkeypatch.setenv("GIT_DIR", str(other / ".git"))
     assert len(provenance.environment()["git_commit"]) == 40 and provenance.environment()["git_dirty"] is False
 
 

@@ -173,11 +173,12 @@ for (const figure of document.querySelectorAll('figure[data-figure]')) {
     if (across > 1 && down > 0.35 * Math.min(p.height, q.height)) bad.push(a.textContent + ' over ' + b.textContent);
   }
   const drawn = [...svg.querySelectorAll('path')].filter(path => {
-    const colour = (path.getAttribute('stroke') ?? '') + (path.getAttribute('fill') ?? ''), box = path.getBBox();
+    const said = name => path.closest(`[${name}]`)?.getAttribute(name) ?? '', box = path.getBBox();
+    const colour = said('stroke') + said('fill');
     return /--c\\d|--ink/.test(colour) && (box.width > 0 || box.height > 0);
   });
   const scale = frame.width / svg.viewBox.baseVal.width;
-  const sizes = texts.map(([text]) => scale * parseFloat(text.getAttribute('font-size')));
+  const sizes = texts.map(([text]) => scale * parseFloat(text.closest('[font-size]').getAttribute('font-size')));
   found.push({name: figure.dataset.figure, drawn: drawn.length, bad, least: Math.min(...sizes),
               right: frame.right, caption: figure.querySelector('figcaption').textContent.length});
 }

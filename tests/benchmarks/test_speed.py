@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
+import pandas as pd
 import pytest
-from railstate.benchmarks.speed import COMPARISONS, cars, cluster, metro, particles, race, robust, start
+from railstate.benchmarks.running.drive import drive
+from railstate.benchmarks.speed import COMPARISONS, cars, cluster, measure, metro, particles, race, robust, start
 
 from ..conftest import Command
 
@@ -14,15 +19,16 @@ SMALL = {"metro": (metro, {"RUNS": (1, 12), "STEPS": 30}, 2e-8), "cars": (cars, 
          "particles": (particles, {"RUNS": 4, "STEPS": 10, "PEER_STEPS": 10}, 1e-9)}
 
 
-CONTESTS = {
-    "metro": [f"{label} 2 {runs} {peer}" for label in ("ekf", "ukf", "ckf") for runs in (1, 12)
-              for peer in ("filterpy", "written by hand")],
-    "cars": [line for n in (4, 12) for line in (
-        *(f"kalman {n} {runs} {peer}" for runs in (1, 12) for peer in ("filterpy", "simdkalman", "written by hand")),
-        f"ukf {n} 12 written by hand", f"ckf {n} 12 written by hand")],
-    "robust": [f"robust-{kind} 2 5 cvxpy, Clarabel" for kind in ("bounded", "mean-square", "ellipsoid")],
-    "particles": [f"{label}, {form} 4 4 numpy loop over particles" for label in ("rbpf", "sma", "gsma")
-                  for form in ("factorised", "full")]}
+class Clock:
+    """Readings 1, 2, 3 .. ms apart."""
+
+    def __init__(self) -> None:
+        self.readings, self.now = 0, 0.0
+
+    def __call__(self) -> float:
+        self.readings += 1
+        self.now += self.readings / 1000
+        return self.now
 
 
 def test_every_comparison_is_tried() -> None:
@@ -30,16 +36,44 @@ def test_every_comparison_is_tried() -> None:
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPatch,
+                                         expected: Callable[[str, str], None]) -> None:
+    """And what is made of their times, by a clock of ours."""
     module, sizes, apart = SMALL[name]
     for constant, size in sizes.items():
         monkeypatch.setattr(module, constant, size)
+    monkeypatch.setattr(measure, "perf_counter", Clock())
+    clock = Clock()
+    monkeypatch.setattr(measure, "drive", lambda *given: replace(drive(*given), seconds=clock()))
     lines = race(name, 1)
-    assert [" ".join(line[part] for part in ("estimator", "states", "runs", "peer")) for line in lines] == (
-        CONTESTS[name])
     for line in lines:
-        assert float(line["estimates differ by"]) < apart, line
-        assert float(line["ns/run-step"]) > 0 and float(line["peer ns/run-step"]) > 0
+        assert float(line.pop("estimates differ by")) < apart, line
+    expected(f"timing-{name}", pd.DataFrame(lines).to_string())
+
+
+def test_times_are_minimums_and_ratios_of_one_process() -> None:
+    def side(name: str, *seconds: float, count: int = 100, last: tuple[float, ...] = (1.0, 2.0)) -> measure.Side:
+        given = iter(seconds)
+        return measure.Side(name, lambda: (next(given), count, np.array([last, last])))
+
+    ours, other = side("ekf", 0.1, 3.0, 2.0), side("peer", 9.0, 4.0, 5.0, count=50, last=(1.5,))
+    row = {"estimator": "ekf", "states": "2", "runs": "7", "ns/run-step": "20000000"}
+    (line,) = measure.contest(ours, 2, 7, [other], 2)
+    assert line.row == {**row, "peer": "peer", "peer ns/run-step": "80000000", "times faster": "4.00",
+                        "estimates differ by": "5.0e-01"}
+    short, slow = side("ekf", 1.0, 1.0, last=(3.0,)), side("slow", 7.0, 8.0, count=10, last=(1.0,))
+    (parts,) = measure.contest_of_parts(side("ekf", 0.1, 3.0, 2.0), short, slow, 2, 7, 2)
+    assert parts.row == {**row, "peer": "slow", "peer ns/run-step": "800000000", "times faster": "40.0",
+                         "estimates differ by": "2.0e+00"}
+    several = [line._replace(mine=mine, theirs=theirs, faster=faster, apart=apart) for mine, theirs, faster, apart in (
+        (9.994, 99.94, 3.0, 0.1), (9.996, 99.96, 1.0, 0.3), (10.0, 100.0, 2.0, 0.2))]
+    assert measure.Line.least(several) == line._replace(mine=9.994, theirs=99.94, faster=2.0, apart=0.3)
+    assert [(one.row["ns/run-step"], one.row["peer ns/run-step"]) for one in several] == [
+        ("9.99", "99.9"), ("10.00", "100.0"), ("10.0", "100")]
+    both = [cluster.Line(2, 100, 0.8, 0.5), cluster.Line(2, 100, 0.7, 0.6)]
+    assert cluster.Line.least(both) == cluster.Line(2, 100, 0.7, 0.5)
+    assert both[0].row == {"workers": "2", "runs a task": "100", "work a task [ms]": "50.0",
+                           "cost of a task [ms]": "12.5", "efficiency": "0.80"}
 
 
 def test_a_peer_that_is_not_installed_is_one_message(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,12 +90,13 @@ def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(start, "QUICK", (("--version",),))
     monkeypatch.setattr(start, "SETTINGS", ())
     monkeypatch.setattr(start, "RUNS", 4)
+    monkeypatch.setattr(start, "perf_counter", Clock())
     monkeypatch.setenv("COLUMNS", "120")
     lines = railstate("timing", "--only", "start", "--repeats", 1).out.splitlines()
     found = [line.split() for line in lines if line.startswith("railstate")]
     assert [" ".join(words[1:-1]) for words in found] == ["--version", *(
         f"run ningbo-metro/switching --estimators ekf --runs 4 --jobs {jobs}" for jobs in (1, 2))]
-    assert all(float(words[-1]) > 0 for words in found)
+    assert [words[-1] for words in found] == ["0.00", "0.01", "0.01"]
     monkeypatch.setattr(start, "QUICK", (("--nothing",),))
     with pytest.raises(RuntimeError, match="No such option"):
         start.seconds(1)

@@ -78,6 +78,27 @@ def test_cholesky_of_singular_and_indefinite() -> None:
     assert np.isnan(factor[..., 3:]).any(axis=(0, 1)).all()
 
 
+def test_what_counts_as_without_uncertainty_does_not_hang_on_units() -> None:
+    """A pivot of zero to rounding, and what is correlated with it to rounding, in units from 1e-6 to 1e6."""
+    small, slack = kernels.SMALLEST_PIVOT_RATIO, kernels.INDEFINITE
+    units = np.array(list(itertools.product([1e-6, 1.0, 1e6], repeat=2))).T
+    for part, bad in ((0.5 * slack**0.5, False), (-0.5 * slack**0.5, False), (2 * slack**0.5, True), (0.1, True)):
+        known = np.array([[0.0, part], [part, 1.0]])  # nothing may go with what is known for certain
+        assert failing(known[:, :, None] * units[:, None] * units[None]) == [True] * units.shape[1]
+        third = np.array([[1.0, 1.0, 0.5], [1.0, 1.0, 0.5 + part], [0.5, 0.5 + part, 1.0]])
+        scale = np.vstack([units, units[:1]])
+        assert failing(third[:, :, None] * scale[:, None] * scale[None]) == [bad] * units.shape[1]
+    for last, bad in ((1.0 + 0.5 * small, False), (1.0 - 0.5 * slack, False), (1.0 - 2 * slack, True)):
+        two = np.array([[1.0, 1.0], [1.0, last]])[:, :, None] * units[:, None] * units[None]
+        assert failing(two) == [bad] * units.shape[1]
+
+
+def failing(p: Array) -> list[bool]:
+    factor, failed = np.empty_like(p), np.zeros(p.shape[2], dtype=bool)
+    kernels.cholesky(p, factor, failed)
+    return failed.tolist()
+
+
 @pytest.mark.parametrize("width", [1, 2, 7, 100])
 def test_bits_do_not_depend_on_the_batch(width: int) -> None:
     f, p, q = draw(6, 6, RUNS), positive(6), positive(6, 1)

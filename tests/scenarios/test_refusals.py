@@ -5,10 +5,15 @@ The answers are in `tests/expected/refusals.txt`."""
 from __future__ import annotations
 
 import ast
+import json
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from railstate.benchmarks.planning.naming import find_one
+from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError
+from railstate.scenarios.railway.line import read_line, read_train
 
 CASES = """
 ningbo-metro plant.line.stops=[0.0,0.0] plant.line.stops=[100.0,50.0] plant.line.stops=[-5.0,1900.0]
@@ -46,6 +51,10 @@ cbtc-csma plant.cars=3 plant.masses=[1.0] plant.commands=[[1,0.5]] channel.train
 moving-block plant.trains.stops=[[0,99],[0]] plant.trains.stops=[[1,0],[0]] plant.trains.start=[0.0,0.01]
   plant.trains.start=[99.0,0.0] sensors.tags.count=1 sensors.tags.count=400
   channel={"kind":"bernoulli","p":0.5,"silent":"hold"}
+  faults=[{"kind":"stuck","sensors":["x-a"],"from":1.0,"to":2.0}]
+  faults=[{"kind":"student-t","sensors":["x-a"],"dof":3.0}]
+  faults=[{"kind":"jump","sensors":["x-a"],"size":3.0,"truth":True}]
+  faults=[{"kind":"stamps","sensors":["x-a"],"offset":0.1}]
 braking-rate plant.target=[[0.0,1.0],[0.0,2.0]] knowledge.grid=[1.0,0.5,0.7] knowledge.grid=[1.0,1.0]
   knowledge.grid=[1.0,0.5] plant.rate_drift=-1.0 plant.target=[[1.0,1.0],[0.0,2.0]] time.steps=1 score.skip=150.0
   score.skip=149.0
@@ -86,3 +95,66 @@ def test_what_is_refused_and_what_is_not(expected: Callable[[str, str], None]) -
         except InputError as error:
             said += [f"  {line}" for line in str(error).splitlines()[:3]]
     expected("refusals", "\n".join(said))
+
+
+TRACK: dict[str, Any] = {
+    "stops": {"unit": "km", "values": [0, 1.3]},
+    "speed limits": {"units": {"position": "m", "velocity": "km/h"}, "values": [[0, 80], [650, 60]]},
+    "gradients": {"units": {"position": "m", "slope": "permil"}, "values": [[0, 2]]}}
+TRAIN: dict[str, Any] = {
+    "mass": {"value": 200, "unit": "t"}, "rho": {"value": 6, "unit": "%"}, "max speed": {"value": 120, "unit": "km/h"},
+    "max traction force": {"value": 200, "unit": "kN"}, "max reg braking force": {"value": 150, "unit": "kN"},
+    "max pn braking force": {"value": 50, "unit": "kN"}, "max acceleration": {"value": 1.0, "unit": "m/s^2"},
+    "max deceleration": {"value": 0.9, "unit": "m/s^2"}, "max traction power": {"value": 3, "unit": "MW"},
+    "max reg braking power": {"value": 2, "unit": "MW"}, "rolling resistance r0": {"value": 2000, "unit": "N"},
+    "rolling resistance r1": {"value": 30, "unit": "N/(km/h)"},
+    "rolling resistance r2": {"value": 0.5, "unit": "N/(km/h)^2"}}
+PARTS: tuple[object, ...] = (
+    None, 7, {}, {"unit": "m"}, {"unit": 3, "values": [1], "value": 1}, {"unit": "ell", "values": [1], "value": 1},
+    {"unit": "m", "values": []}, {"unit": "m", "values": [0, True]}, {"unit": "m", "values": [0, 2e15]},
+    {"unit": "m", "values": [9, 3]}, {"unit": "t", "value": 0}, {"unit": "kg", "value": -5},
+    {"unit": "kN", "value": "1"},
+    {"units": {"position": "m"}, "values": [[0, 1]]}, {"units": {"position": "m", "velocity": "km/h", "slope": "%"}},
+    {"units": {"position": "m", "velocity": "km/h", "slope": "%"}, "values": [[0, 1], [2]]},
+    {"units": {"position": "m", "velocity": "m/s", "slope": "permil"}, "values": [[1, 30], [650, 20]]})
+"""What may stand in place of an entry; None: it is left out."""
+
+
+def test_lines_and_trains_in_files(tmp_path: Path, expected: Callable[[str, str], None]) -> None:
+    """Whole, with one entry after the other replaced by each of what it may and may not be."""
+    said = list[str]()
+
+    def told(what: str, text: str, read: Callable[[str], object]) -> None:
+        path = tmp_path / "file.json"
+        path.write_text(text)
+        try:
+            said.append(f"{what}: {read(str(path))}")
+        except ValueError as error:
+            said.append(f"{what}: refused: {str(error).replace(str(path), 'FILE')}")
+
+    for read, whole in ((read_line, TRACK), (read_train, TRAIN)):
+        told(read.__name__, json.dumps(whole), read)
+        for text in ("", "[]", "{}"):
+            told(f"{read.__name__} {text}", text, read)
+        for key in whole:
+            for part in PARTS:
+                changed = {name: value for name, value in {**whole, key: part}.items() if value is not None}
+                told(f"{key} = {json.dumps(part)}", json.dumps(changed), read)
+    expected("lines-and-trains", "\n".join(said))
+
+
+def test_parameters_one_at_a_time(expected: Callable[[str, str], None]) -> None:
+    """Each parameter of each estimator by values that it may and may not have, the others at their defaults."""
+    said = list[str]()
+    for name, cls in sorted(estimators().items()):
+        for field in cls.Parameters.model_fields:
+            taken = dict[str, list[str]]()
+            for value in (-1, 0, 0.5, 1, 2, 40, True, "no", [], [0.5], ["position"], [[0.9, 0.1], [0.5, 0.5]]):
+                try:
+                    cls.Parameters.model_validate({field: value})
+                    word = "taken"
+                except ValueError as error:
+                    word = "; ".join(part["msg"] for part in error.errors())  # pyright: ignore
+                taken.setdefault(word, []).append(json.dumps(value))
+            said += [f"{name}.{field}: {word}: {' '.join(values)}" for word, values in taken.items()]
+    expected("parameters", "\n".join(said))

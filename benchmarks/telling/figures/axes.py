@@ -131,23 +131,24 @@ class Panel:
         bottom = top + height
         if title:
             canvas.text(left, top - 4, title, bold=True)
-        for value in y.ticks(max(2, int(height // 18))) if y_ticks else ():
-            at = self._down(value)
-            canvas.path([(left, at), (left + width, at)], stroke="grid", width=0.5)
-            canvas.text(left - 3, at + 2.8, tick_text(value), anchor="end", colour="muted", size=FONT - 0.5)
+        rows = y.ticks(max(2, int(height // 18))) if y_ticks else []
+        columns = [value for value in x.ticks(max(2, int(width // (16 if whole else 34))))
+                   if not whole or value == round(value)]
+        for value in rows:
+            canvas.path([(left, self._down(value)), (left + width, self._down(value))], stroke="grid", width=0.5)
+        for value in columns:
+            canvas.path([(self._across(value), top), (self._across(value), bottom)], stroke="grid", width=0.5)
+        for value in rows:
+            canvas.text(left - 3, self._down(value) + 2.8, tick_text(value), anchor="end", colour="muted",
+                        size=FONT - 0.5)
         free = 0.0  # where a tick's text may begin
-        for value in x.ticks(max(2, int(width // (16 if whole else 34)))):
-            if whole and value != round(value):
-                continue
-            at = self._across(value)
-            canvas.path([(at, top), (at, bottom)], stroke="grid", width=0.5)
-            if x_ticks:
-                text = tick_text(value)
-                half = text_width(text, FONT - 0.5) / 2
-                at = min(at, canvas.width - half)
-                if at - half >= free:
-                    canvas.text(at, bottom + 9, text, anchor="middle", colour="muted", size=FONT - 0.5)
-                    free = at + half + 1.5
+        for value in columns if x_ticks else ():
+            text = tick_text(value)
+            half = text_width(text, FONT - 0.5) / 2
+            at = min(self._across(value), canvas.width - half)
+            if at - half >= free:
+                canvas.text(at, bottom + 9, text, anchor="middle", colour="muted", size=FONT - 0.5)
+                free = at + half + 1.5
         canvas.path([(left, bottom), (left + width, bottom)], stroke="muted", width=0.6)
         canvas.path([(left, top), (left, bottom)], stroke="muted", width=0.6)
         if x_label:

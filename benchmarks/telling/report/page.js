@@ -80,7 +80,7 @@ function curvesCsv(panels) {
       x += steps[i]; y += steps[i + 1];
       const share = 1 - y / 66, time = Number(x0) + x / 150 * (x1 - x0);
       const value = log === "1" ? Number(y0) * (y1 / y0) ** share : Number(y0) + share * (y1 - y0);
-      lines.push([svg.dataset.entry, time.toPrecision(5), value.toPrecision(3)].join(","));
+      lines.push([svg.getAttribute("aria-label"), time.toPrecision(5), value.toPrecision(3)].join(","));
     }
   }
   return lines.join("\n") + "\n";

@@ -4,6 +4,7 @@ Inline SVG in the page's classes; every number drawn is one of the verdict table
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from html import escape
 
@@ -25,7 +26,8 @@ LETTER, VALUE_ROOM, WORD_ROOM = 6.5, 62, 66
 FAR = 8.0
 """Ratios beyond this are drawn as an arrow."""
 SHAPES = {"best": "m-5 0l5-5 5 5-5 5z", "worse": "m-5 4l5-9 5 9z"}
-"""Markers; the others are circles."""
+CIRCLE = "m-4 0a4 4 0 1 0 8 0 4 4 0 1 0-8 0z"
+"""Markers: circles but for those."""
 CURVE_POINTS = 65
 
 
@@ -58,25 +60,25 @@ def _values(ranking: Ranking, lines: Sequence[Line], height: int) -> str:
     floors = [line["floor"] * line["factor"] for line in lines[:1] if floor_name(line)]
     scale = _scale([*shown, *floors], 4.0)
     title = title_of(ranking)
-    out = [f'<text class="h" x="0" y="10">{escape(title)}{", log" if scale.log else ""}</text>',
+    out = [f'<text class="h" y="10">{escape(title)}{", log" if scale.log else ""}</text>',
            _grid(scale, left, right, height)]
     for value in floors:
         x = left + float(scale.share(value)) * (right - left)
         out.append(f'<path class="floor" d="M{x:.1f} {TOP - 4}V{height - BOTTOM}"/><text class="f" x="{x:.1f}" '
                    f'y="{TOP - 6}" text-anchor="middle">{floor_name(lines[0])} {number(value)}</text>')
+    values, placed = [], []
     for i, line in enumerate(lines):
         y, sign = TOP + ROW * i + ROW / 2, mark(line)
         out.append(f'<text y="{y + 4:g}">{sign.sign}<tspan x="16">{escape(str(line["estimator"]))}</tspan></text>')
         if not line["runs"]:
             continue
         text = value_of(line) + (f" of {line['runs']}" if line["lost"] else "")
-        out.append(f'<text class="e" x="{LEFT_WIDTH}" y="{y + 4:g}">{text}</text>')
-        if drawn(line) == "lost" or (scale.log and not line["value"] > 0):
-            continue
-        at = [left + float(scale.share(line[name] * line["factor"])) * (right - left - 6) for name in
-              ("value", "low", "high")]
-        out.append(_marker(line, at[0], at[1], at[2], y))
-    return "".join(out)
+        values.append(f'<text y="{y + 4:g}">{text}</text>')
+        if drawn(line) != "lost" and (line["value"] > 0 or not scale.log):
+            at = [left + float(scale.share(line[name] * line["factor"])) * (right - left - 6) for name in
+                  ("value", "low", "high")]
+            placed.append((line, at[0], at[1], at[2], y))
+    return f'{"".join(out)}<g class="e" transform="translate({LEFT_WIDTH})">{"".join(values)}</g>{_markers(placed)}'
 
 
 def _ratios(ranking: Ranking, lines: Sequence[Line], height: int) -> str:
@@ -90,36 +92,38 @@ def _ratios(ranking: Ranking, lines: Sequence[Line], height: int) -> str:
     def x(value: float) -> float:
         return 4 + float(scale.share(value)) * (right - 8)
 
-    out = [f'<text class="h" x="0" y="10">ratio to {escape(str(ranking.best["estimator"]))}'
+    out = [f'<text class="h" y="10">ratio to {escape(str(ranking.best["estimator"]))}'
            f'{", log" if scale.log else ""}</text>',
            f'<path class="band" d="M{x(1 - MARGIN):.1f} {TOP}H{x(1 + MARGIN):.1f}V{height - BOTTOM}'
            f'H{x(1 - MARGIN):.1f}z"/>',
            _grid(scale, 4, right - 4, height), f'<path class="one" d="M{x(1):.1f} {TOP}V{height - BOTTOM}"/>']
+    words, placed = [], []
     for i, line in enumerate(lines):
-        y = TOP + ROW * i + ROW / 2
+        y, word = TOP + ROW * i + ROW / 2, ""
         if line in ranked:
             word = "" if drawn(line) == "best" else "tie" if drawn(line) == "tie" else change(line)
-            out.append(f'<text class="w" x="{right + 4:g}" y="{y + 4:g}">{word}</text>')
             if line["ratio"] > FAR:
                 out.append(f'<path class="m worse" d="M{right - 10:.1f} {y - 4:g}l8 4-8 4z"/>')
             else:
-                out.append(_marker(line, x(line["ratio"]), x(line["ratio_low"]), x(min(line["ratio_high"], FAR)), y))
+                placed.append((line, x(line["ratio"]), x(line["ratio_low"]), x(min(line["ratio_high"], FAR)), y))
         elif drawn(line) == "lost":
-            out.append(f'<text class="w" x="{right + 4:g}" y="{y + 4:g}">{line["lost"]} lost</text>')
-    return "".join(out)
+            word = f"{line['lost']} lost"
+        if word:
+            words.append(f'<text y="{y + 4:g}">{word}</text>')
+    return f'{"".join(out)}<g class="w" transform="translate({right + 4})">{"".join(words)}</g>{_markers(placed)}'
 
 
 def _grid(scale: Scale, left: float, right: float, height: int) -> str:
-    out, free = [], -1e9
+    lines, texts, free = "", "", -1e9
     for value in _ticks(scale):
         at = left + float(scale.share(value)) * (right - left)
-        out.append(f'<path class="g" d="M{at:.1f} {TOP}V{height - BOTTOM}"/>')
+        lines += f"M{_short(at)} {TOP}V{height - BOTTOM}"
         text = tick_text(value)
         half = 3.2 * len(text)
         if at - half > free:
-            out.append(f'<text class="t" x="{at:.1f}" y="{height - 6}">{text}</text>')
+            texts += f'<text x="{_short(at)}" y="{height - 6}">{text}</text>'
             free = at + half + 4
-    return "".join(out)
+    return f'<path class="g" d="{lines}"/><g class="t">{texts}</g>'
 
 
 def _ticks(scale: Scale) -> list[float]:
@@ -134,12 +138,20 @@ def _ticks(scale: Scale) -> list[float]:
     return scale.ticks(4)
 
 
-def _marker(line: Line, at: float, low: float, high: float, y: float) -> str:
-    word = drawn(line)
-    bar = f'<path class="i {word}" d="M{low:.1f} {y:g}H{high:.1f}"/>' if np.isfinite(low + high) else ""
-    if word in SHAPES:
-        return f'{bar}<path class="m {word}" d="M{at:.1f} {y:g}{SHAPES[word]}"/>'
-    return f'{bar}<circle class="m {word}" cx="{at:.1f}" cy="{y:g}" r="4"/>'
+def _markers(placed: Sequence[tuple[Line, float, float, float, float]]) -> str:
+    """Lines with where value, low and high end and their row are: bars under markers, a path a verdict."""
+    bars, shapes = defaultdict[str, str](str), defaultdict[str, str](str)
+    for line, at, low, high, y in placed:
+        word = drawn(line)
+        if np.isfinite(low + high):
+            bars[word] += f"M{_short(low)} {y:g}H{_short(high)}"
+        shapes[word] += f"M{_short(at)} {y:g}{SHAPES.get(word, CIRCLE)}"
+    return "".join(f'<path class="{kind} {word}" d="{path}"/>' for kind, found in (("i", bars), ("m", shapes))
+                   for word, path in found.items())
+
+
+def _short(value: float) -> str:
+    return f"{round(value, 1):g}"
 
 
 def curves(cell: CellResults, ranking: Ranking) -> tuple[str, int]:
@@ -175,26 +187,22 @@ def curves(cell: CellResults, ranking: Ranking) -> tuple[str, int]:
         steps = " ".join(f"{a} {b}" for a, b in np.diff(points, axis=0).tolist()).replace(" -", "-")
         return f"M{points[0, 0]} {points[0, 1]}l{steps or '0 0'}"
 
-    frame = (f'<g id="{name}-x"><path class="g" d="M0 0V{tall:g}H{wide:g}"/>'
-             f'<text class="t" x="-3" y="7" text-anchor="end">{tick_text(float(f"{scale.high:.2g}"))}</text>'
-             f'<text class="t" x="-3" y="{tall:g}" text-anchor="end">{tick_text(float(f"{scale.low:.2g}"))}</text>'
-             f'<text class="t" x="{wide:g}" y="{tall + 12:g}" text-anchor="end">'
-             f'{tick_text(float(f"{end:.3g}"))} s</text></g>')
+    behind = f'<path class="b" d="{path(best)}"/>' if best in found else ""
+    ground = (f'<g id="{name}"><path class="g" d="M0 0V{tall:g}H{wide:g}"/>'
+              f'<text class="t" x="-3" y="7" text-anchor="end">{tick_text(float(f"{scale.high:.2g}"))}</text>'
+              f'<text class="t" x="-3" y="{tall:g}" text-anchor="end">{tick_text(float(f"{scale.low:.2g}"))}</text>'
+              f'<text class="t" x="{wide:g}" y="{tall + 12:g}" text-anchor="end">'
+              f'{tick_text(float(f"{end:.3g}"))} s</text>{behind}</g>')
     panels: list[str] = []
     for line in ranking.lines:
         label = str(line["estimator"])
-        if label not in found:
-            continue
-        width = max(wide, LETTER * (len(label) + 2))
-        behind = (f'<path id="{name}" class="b" d="{path(label)}"/>' if label == best else
-                  f'<use href="#{name}" class="b"/>' if best in found else "")
-        own = f'<path class="o {drawn(line)}" d="{path(label)}"/>'
-        panels.append(
-            f'<svg viewBox="-34 -16 {width + 40:.0f} {tall + 32:.0f}" width="{width + 40:.0f}" '
-            f'height="{tall + 32:.0f}" role="img" aria-label="{escape(label)}, error over time" '
-            f'data-entry="{escape(label)}">'
-            f'<text x="0" y="-5">{mark(line).sign} {escape(label)}</text>'
-            f'{frame if not panels else f"""<use href="#{name}-x"/>"""}{behind}{own}</svg>')
+        if label in found:
+            size = f"{max(wide, LETTER * (len(label) + 2)) + 40:.0f}", f"{tall + 32:.0f}"
+            panels.append(
+                f'<svg viewBox="-34 -16 {size[0]} {size[1]}" width="{size[0]}" height="{size[1]}" role="img" '
+                f'aria-label="{escape(label)}"><text y="-5">{mark(line).sign} {escape(label)}</text>'
+                f'{f"""<use href="#{name}"/>""" if panels else ground}'
+                f'<path class="o {drawn(line)}" d="{path(label)}"/></svg>')
     axes = (f'data-x0="{begin:.6g}" data-x1="{end:.6g}" data-y0="{scale.low:.6g}" data-y1="{scale.high:.6g}" '
             f'data-log="{int(scale.log)}"')
-    return f'<div class="panels" {axes}>{"".join(panels)}</div>', len(panels)
+    return f'<div class="panels" role="group" aria-label="error over time" {axes}>{"".join(panels)}</div>', len(panels)
