@@ -6,7 +6,7 @@ So filters compile once for all models, and run model and moments on a block of 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +37,12 @@ class Compiled:
 
     def __init__(self, function: Callable[..., int], inputs: int, given: Callable[[Interval, int], tuple[Array, Array]],
                  square: bool = False) -> None:
-        self.address, self.inputs, self.given, self.square = address(function), inputs, given, square
+        self.function, self.inputs, self.given, self.square = function, inputs, given, square
+
+    @cached_property
+    def address(self) -> int:
+        """Where the machine code is; compiled when first asked for."""
+        return address(self.function)
 
     def arguments(self, u: Array, interval: Interval) -> tuple[int, Array, Array, Array]:
         """Address, u (nu, S), seconds (S,) and data, for `call`. Raises ValueError for inputs of another shape."""

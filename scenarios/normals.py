@@ -9,6 +9,7 @@ import numpy as np
 from .machine_code import njit
 
 kernel = njit(cache=True, error_model="numpy")
+inner = njit(cache=True, error_model="numpy", inner=True)
 
 _M0, _M1, _W0, _W1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57), np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _LOW, _SHIFT, _DROP, _ONE = np.uint64(0xFFFFFFFF), np.uint64(32), np.uint64(12), np.uint64(0x3FF0000000000000)
@@ -18,7 +19,7 @@ _TURN = 2 * np.pi
 NORMAL, UNIFORM = 1, 2
 
 
-@kernel
+@inner
 def uniforms(key, draw, run, kind, first, second):
     """Two uniform numbers in (0, 1) for each place of first, second (n,), from the key (2,) uint64 of 32 bits each, the
     number of the draw, the run, and the kind of numbers: Philox4x32-10 (Salmon et al., SC 2011), place by place."""
@@ -38,7 +39,7 @@ def uniforms(key, draw, run, kind, first, second):
         second[i] = (second[i] - 1.0) + 1.1102230246251565e-16
 
 
-@kernel
+@inner
 def box_muller(first, second):
     """Two independent standard normals in place of two uniforms in (0, 1), to some units in the last place.
 

@@ -19,8 +19,8 @@ ROOM = 400e6
 
 
 def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, batch: int | None) -> list[Task]:
-    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first; every
-    second has its estimators in another order, so that two processes side by side compile different things."""
+    """The tasks that are left. done: (cell key, label) -> runs that have rows. Heavy tasks come first. Every
+    second has its estimators the other way round: two processes compile different things until they meet."""
     tasks: list[tuple[float, Task]] = []
     for cell in plan.cells:
         setting = cell.setting()
@@ -41,17 +41,18 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
                 weight = setting.batch_bytes() * len(block) * len(labels)
                 tasks.append((weight, plan.task(cell, labels, block)))
     heavy = [task for _, task in sorted(tasks, key=lambda item: -item[0])]
-    return [_from_elsewhere(task) if place % 2 else task for place, task in enumerate(heavy)]
+    return heavy if jobs == 1 else [_by_code(task, backwards=place % 2 == 0) for place, task in enumerate(heavy)]
 
 
-def _from_elsewhere(task: Task) -> Task:
-    """The task with those estimators first that share least code with the first one."""
+def _by_code(task: Task, backwards: bool) -> Task:
+    """The task with those estimators last that share most code with the first one; backwards: first."""
     if not own(task.cell, task.labels[0]) or len(task.labels) < 3:
         return task
     modules = [sys.modules[estimators()[task.cell.entries[label].plugin].__module__] for label in task.labels]
     code = [set(machine_code.closure(Path(str(module.__file__)))) for module in modules]
     shared = {label: len(of & code[0]) for label, of in zip(task.labels, code, strict=True)}
-    return replace(task, labels=tuple(sorted(task.labels, key=shared.__getitem__)))
+    labels = sorted(task.labels, key=shared.__getitem__)
+    return replace(task, labels=tuple(reversed(labels) if backwards else labels))
 
 
 def task_name(task: Task) -> str:

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from ...estimators.registry import estimator_class
 from ...scenarios.randomness import Streams
@@ -21,6 +20,9 @@ from ..scoring.columns import TIMING
 from .drive import prepare
 from .loop import Loop, Observer
 from .machinery import Machinery
+
+if TYPE_CHECKING:  # workers import this
+    import pandas as pd
 
 WARM_UP, STEPS, SAMPLES, SECONDS = 5, 150, 300, 0.05
 FEW = 8
@@ -32,6 +34,8 @@ AGREED = 1.1
 def timing_table(plan: Plan, rows: pd.DataFrame, machinery: Machinery) -> pd.DataFrame:
     """One line per cell and estimator, columns `TIMING`; NaN for estimators that cannot be designed, and for plug-ins
     that die or take longer than the machinery's timeout."""
+    import pandas as pd
+
     return pd.DataFrame(list(_lines(plan, rows, machinery)), columns=list(TIMING))
 
 

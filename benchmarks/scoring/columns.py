@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+if TYPE_CHECKING:  # workers import this
+    import pandas as pd
 
 IDENTITY = ("scenario", "variant", "estimator", "run")
 TIMING = ("scenario", "variant", "estimator", "design_s", "latency_us_median", "latency_us_p99", "samples",

@@ -12,6 +12,7 @@ from ...scenarios.machine_code import njit
 # No fastmath and no BLAS: both would make a run's bits depend on its neighbours. error_model: division by zero gives
 # inf, as in NumPy, which keeps branches out of the inner loops.
 kernel = njit(cache=True, error_model="numpy")
+inner = njit(cache=True, error_model="numpy", inner=True)
 
 HALF_LOG_TURN = 0.5 * np.log(2 * np.pi)
 """What each element takes off a Gaussian's log-density."""
@@ -21,13 +22,13 @@ INDEFINITE = 1e-9
 """A pivot under minus this share of its diagonal entry is an indefinite matrix, no rounding error."""
 
 
-@kernel
+@inner
 def tile_width(n, runs):
     """How many runs to take at a time: a few (n, n, width) arrays stay in the cache, and whole vectors fit."""
     return max(1, min(runs, max(64, 2048 // max(n, 1) // 32 * 32)))
 
 
-@kernel
+@inner
 def gather2(source, index, width, tile):
     """tile (n, >= width) := the runs index[:width], in increasing order, of source (n, S)."""
     first = index[0]
@@ -42,7 +43,7 @@ def gather2(source, index, width, tile):
                 tile[i, s] = source[i, index[s]]
 
 
-@kernel
+@inner
 def scatter2(tile, index, width, target):
     """Write tile (n, >= width) back to the runs index[:width] of target (n, S)."""
     first = index[0]
@@ -57,7 +58,7 @@ def scatter2(tile, index, width, target):
                 target[i, index[s]] = tile[i, s]
 
 
-@kernel
+@inner
 def gather3(source, index, width, tile):
     """tile (n, m, >= width) := the runs index[:width] of source (n, m, S), or its one shared slice (n, m, 1)."""
     for i in range(source.shape[0]):
@@ -68,7 +69,7 @@ def gather3(source, index, width, tile):
             gather2(source[i], index, width, tile[i])
 
 
-@kernel
+@inner
 def scatter3(tile, index, width, target):
     """Write tile (n, m, >= width) back to the runs index[:width] of target (n, m, S)."""
     for i in range(target.shape[0]):
@@ -91,7 +92,7 @@ def apply(matrix, x, out):
                     out[i, s] += matrix[i, k, s] * x[k, s]
 
 
-@kernel
+@inner
 def _nonzero(one, two, columns):
     """columns[:count] := where either of two rows (n, 1) of a matrix that all runs share is not zero; count."""
     count = 0
@@ -101,7 +102,7 @@ def _nonzero(one, two, columns):
     return count
 
 
-@kernel
+@inner
 def _half(f, p, t, width):
     """t (m, n, width) := f (m, n, width or 1) times p (n, n, width)."""
     m, n = f.shape[0], p.shape[0]
@@ -141,7 +142,7 @@ def _half(f, p, t, width):
                         t[i, j, s] += f[i, k, s] * p[k, j, s]
 
 
-@kernel
+@inner
 def _symmetric_half(t, f, q, out, width):
     """out (m, m, width) := t f' + q, of which the lower triangle is computed and mirrored; q (m, m, width or 1)."""
     n = t.shape[1]
@@ -257,7 +258,7 @@ def predict(transition, u, seconds, data, f, q, mean, covariance):
     congruence(f, covariance, q, covariance)
 
 
-@kernel
+@inner
 def factorise(matrix, factor, inverse, failed, definite, width):
     """Lower Cholesky factor (n, n, >= width) of matrix, inverse (n, >= width) of its diagonal; failed (>= width,) is
     set where it has none.
@@ -308,7 +309,7 @@ def factorise(matrix, factor, inverse, failed, definite, width):
                 factor[i, j, s] *= inverse[j, s]
 
 
-@kernel
+@inner
 def forward(factor, inverse, rhs, width):
     """rhs (n, m, >= width) := factor^-1 rhs, in place."""
     for i in range(rhs.shape[0]):
@@ -320,7 +321,7 @@ def forward(factor, inverse, rhs, width):
                 rhs[i, j, s] *= inverse[i, s]
 
 
-@kernel
+@inner
 def backward(factor, inverse, rhs, width):
     """rhs (n, m, >= width) := factor^-T rhs, in place."""
     n = rhs.shape[0]

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .core import INDEFINITE, SMALLEST_PIVOT_RATIO, kernel
+from .core import INDEFINITE, SMALLEST_PIVOT_RATIO, inner
 
 SMALLEST = float(np.finfo(float).tiny)
 """The smallest number that has a reciprocal."""
 
 
-@kernel
+@inner
 def decompose(p, failed, work, width):
     """p (n, n, >= width) := L below the diagonal and D on it, p = L D L' with L unit lower triangular, in place.
 
@@ -51,7 +51,7 @@ def decompose(p, failed, work, width):
                 entry[s] = column[s]
 
 
-@kernel
+@inner
 def compose(p, work, width):
     """p (n, n, >= width) := L D L', both triangles, in place of L and D as `decompose` leaves them. work (>= n, >=
     width) is for scratch."""
@@ -78,7 +78,7 @@ def compose(p, work, width):
                 there[s] = here[s]
 
 
-@kernel
+@inner
 def sequential(p, h, variance, received, gain, spread, failed, work, width):
     """Measurements h (ny, n, >= width or 1) of uncorrelated noise, one after the other, on p (n, n, >= width) as
     `decompose` leaves it: L and D after them (Bierman's update, with L lower in place of U upper).
@@ -155,7 +155,7 @@ def sequential(p, h, variance, received, gain, spread, failed, work, width):
                 row[s] *= inverse[s]
 
 
-@kernel
+@inner
 def shift(mean, innovation, h, gain, work, width):
     """mean (n, >= width) moved by the scalar steps of `sequential`: dx += K_j (innovation_j - h_j dx), j = 0, 1, ..
 

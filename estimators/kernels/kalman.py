@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .core import factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+from .core import factorise, forward, gather2, gather3, inner, kernel, scatter2, scatter3, tile_width
 from .factors import compose, decompose, sequential, shift
 
 
-@kernel
+@inner
 def receivers(received):
     """Numbers of the runs that received at least one element, increasing."""
     runs, count = received.shape[1], 0
@@ -26,7 +26,7 @@ def receivers(received):
     return index[:count]
 
 
-@kernel
+@inner
 def innovate(y, predicted, received, out, width):
     """out := y - predicted where received, 0 elsewhere (there y is not used: it may be NaN). All (ny, >= width)."""
     for j in range(y.shape[0]):
@@ -35,7 +35,7 @@ def innovate(y, predicted, received, out, width):
             left[s] = seen[s] - guess[s] if got[s] else 0.0
 
 
-@kernel
+@inner
 def _spoil(mean, covariance, s):
     """NaN for run s: nothing that comes of a lost run can pass for a number."""
     for a in range(mean.shape[0]):
@@ -44,7 +44,7 @@ def _spoil(mean, covariance, s):
             covariance[a, b, s] = np.nan
 
 
-@kernel
+@inner
 def _diagonal(r, s):
     """Whether the noise covariance r (ny, ny, S) of run s is diagonal."""
     for i in range(r.shape[0]):
@@ -54,7 +54,7 @@ def _diagonal(r, s):
     return True
 
 
-@kernel
+@inner
 def _of_kind(index, r, diagonal):
     """The runs of index whose noise covariance r (ny, ny, S or 1) is diagonal, or is not."""
     if r.shape[2] == 1:
@@ -67,7 +67,7 @@ def _of_kind(index, r, diagonal):
     return out[:count]
 
 
-@kernel
+@inner
 def _whiten(r, received, h, innovation, failed, width):
     """Decorrelate the noise of the received elements: h and innovation become L^-1 h, L^-1 innovation, with L L' = r
     (ny, ny, width or 1) over the received elements, so that the noise left has unit covariance. Returns the new h (ny,

@@ -11,7 +11,7 @@ from .core import HALF_LOG_TURN
 from .factors import compose, decompose, sequential, shift
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def whitened(C, R, y, received):
     """L^-1 C, L^-1 y of the received rows, L L' = R there: measurements to be used one at a time, variance 1 each; and
     the constant of their log-density, -log det L - r/2 log 2 pi."""
@@ -96,7 +96,7 @@ def kalman_block(A, drive, support, Q, Cw, yw, x, P, loglik, c):
                 volume[k] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def mixture(w, n, values, x, P, mean, covariance):
     """Into mean (nx,), covariance (nx, nx): moments of n weighted Gaussians x (nx, n), P (nx, nx, n). Returns the mean
     of `values` (n,)."""

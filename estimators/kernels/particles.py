@@ -8,11 +8,11 @@ import numpy as np
 
 from ...scenarios.compiled import call
 from ...scenarios.normals import normals, uniform
-from .core import HALF_LOG_TURN, kernel
+from .core import HALF_LOG_TURN, inner, kernel
 from .modes import exponentials
 
 
-@kernel
+@inner
 def dot(a, b):
     """Sum of a_i b_i."""
     t0, t1, t2, t3, t4, t5, t6, t7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -32,7 +32,7 @@ def dot(a, b):
     return total
 
 
-@kernel
+@inner
 def _largest(a):
     """Greatest entry that is not NaN; -inf where there is none."""
     t0, t1, t2, t3 = -np.inf, -np.inf, -np.inf, -np.inf
@@ -47,7 +47,7 @@ def _largest(a):
     return max(max(t0, t1), max(t2, t3))
 
 
-@kernel
+@inner
 def _moments(x, w, work, mean, covariance, s):
     """Weighted mean and covariance of run s from its particles x (nx, N), weights w (N,). work (nx + 1, N)."""
     nx, count = x.shape
@@ -99,7 +99,7 @@ def advance(model, u, seconds, data, particles, weights, factor, key, runs, draw
         _moments(x, weights[s], work, mean, covariance, s)
 
 
-@kernel
+@inner
 def _whitened(r, received, inverse, factor, s):
     """Cholesky factor (ny, ny) of run s's R over its received elements, and one over its diagonal (ny,); whether there
     is one."""
@@ -194,7 +194,7 @@ def take(images, predicted, h, y, received, r, key, runs, draws, share, particle
     return bad
 
 
-@kernel
+@inner
 def _resample(x, log, w, offset, chosen, work):
     """Systematic resampling of one run's particles x (nx, N) in place. chosen (N,), work (>= 1, N): for scratch."""
     nx, count = x.shape

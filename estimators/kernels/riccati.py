@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .core import gather2, gather3, kernel, scatter3, tile_width
+from .core import gather2, gather3, inner, kernel, scatter3, tile_width
 from .factors import compose, decompose, sequential
 from .kalman import _of_kind, _whiten, receivers
 
@@ -23,7 +23,7 @@ def covariance_update(covariance, received, h, r, failed):
             _update_kind(covariance, received, h, r, failed, part, diagonal)
 
 
-@kernel
+@inner
 def _update_kind(covariance, received, h, r, failed, index, diagonal):
     """`covariance_update` of the runs of index, whose noise is of one kind."""
     n, ny, own = covariance.shape[0], h.shape[0], r.shape[2] > 1

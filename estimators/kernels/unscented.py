@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...scenarios.compiled import call
-from .core import backward, factorise, forward, gather2, gather3, kernel, scatter2, scatter3, tile_width
+from .core import backward, factorise, forward, gather2, gather3, inner, kernel, scatter2, scatter3, tile_width
 
 
-@kernel
+@inner
 def _moments(values, weights, mean, width):
     """mean (n, width) := weighted mean of values (n, m, width), which become deviations from it."""
     for a in range(values.shape[0]):
@@ -27,7 +27,7 @@ def _moments(values, weights, mean, width):
                 row[s] -= centre[s]
 
 
-@kernel
+@inner
 def _spread(deviations, weights, out, width):
     """Add the weighted sum of the outer products of deviations (n, m, width) to out's lower triangle (n, n, width),
     and mirror it. The deviations are overwritten."""
@@ -56,7 +56,7 @@ def _spread(deviations, weights, out, width):
                 other[s] = total[s]
 
 
-@kernel
+@inner
 def _gathered(cloud, weights, noise, mean, covariance, width):
     """mean (n, width), covariance (n, n, width) := the moments of a cloud of points (n, m, width), which are
     overwritten, plus noise (n, n, width or 1). weights (2, m): of the mean and of covariances."""
@@ -75,7 +75,7 @@ def _gathered(cloud, weights, noise, mean, covariance, width):
     _spread(cloud, weights[1], covariance, width)
 
 
-@kernel
+@inner
 def _draw(mean, covariance, scale, factor, inverse, points, failed, width):
     """Sigma points mean +- scale L_i (n, m, >= width), L the Cholesky factor of covariance (into factor); m = 2 n, or
     2 n + 1 with the mean first."""

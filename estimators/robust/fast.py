@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.core import kernel
+from ..kernels.core import inner, kernel
 from .gain import best_gain
 from .raw import raw_measurement
 from .small import TINY, contraction
@@ -23,7 +23,7 @@ FAR = 1e6
 """sigma = 1/lam - c2 stays within c2 / FAR .. c2 FAR."""
 
 
-@kernel
+@inner
 def _multipliers(G, K, m, L, p, c2, M, g, R, ellipsoid, root):  # pyright: ignore
     """Best multipliers of a fixed gain: root (1 + nw + m,) are the sources' sizes, shares are root / sum(root).
 
@@ -74,14 +74,14 @@ def _multipliers(G, K, m, L, p, c2, M, g, R, ellipsoid, root):  # pyright: ignor
     return whole * whole + noise, sigma
 
 
-@kernel
+@inner
 def _relaxed(old, new):  # pyright: ignore
     """old (new / old)^1.5: over-relaxation, which keeps the fixed point and takes about two thirds of the rounds."""
     ratio = new / old
     return old * ratio * np.sqrt(ratio)
 
 
-@kernel
+@inner
 def _shares(root, previous, sources, least, first):  # pyright: ignore
     """Shares of the sources, summing to one, into `previous`; a source that is exactly nothing keeps `least`."""
     whole, total = 0.0, 0.0
@@ -97,7 +97,7 @@ def _shares(root, previous, sources, least, first):  # pyright: ignore
         previous[j] /= total
 
 
-@kernel
+@inner
 def _spread(L, p, c2, sigma, M, g, share, S):  # pyright: ignore
     """S = [L + p p'/sigma + M M' (c2 + sigma)] / share_0 + sum over channels of g g' / share."""
     n, nw = L.shape[0], g.shape[1]
@@ -113,7 +113,7 @@ def _spread(L, p, c2, sigma, M, g, share, S):  # pyright: ignore
             S[j, i] = total
 
 
-@kernel
+@inner
 def _complement(K, C, m, G):  # pyright: ignore
     """G = I - K C."""
     n = G.shape[0]
@@ -125,7 +125,7 @@ def _complement(K, C, m, G):  # pyright: ignore
             G[i, k] = total
 
 
-@kernel
+@inner
 def _bound(G, K, m, L, p, c2, sigma, M, g, R, share, ellipsoid, work, columns, P):  # pyright: ignore
     """P = G S G' + K R~ K', G taken to each term of S first: S itself may be huge where G M or G g is all but zero."""
     n, nw = G.shape[0], g.shape[1]

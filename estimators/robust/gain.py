@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.core import kernel
+from ..kernels.core import inner
 from .small import SMALLEST_PIVOT, factorise_one, solve_one
 
 SAFE_PIVOT = 1e-8
 """A Cholesky pivot of C S C' + R~ under this share of its diagonal entry has lost half of its digits."""
 
 
-@kernel
+@inner
 def best_gain(S, L, p, c2, sigma, M, g, C, m, R, share, ellipsoid, V, tall, K):  # pyright: ignore
     """K (n, m) for S (n, n) = [L + p p'/sigma + M M' (c2 + sigma)] / share_0 + sum over channels of g g' / share and
     R~ = R, or for the ellipsoid diag(R_jj / share_j). False where C S C' + R~ is singular.
@@ -41,7 +41,7 @@ def best_gain(S, L, p, c2, sigma, M, g, C, m, R, share, ellipsoid, V, tall, K): 
     return True
 
 
-@kernel
+@inner
 def _noise(R, share, offset, ellipsoid, j, k):  # pyright: ignore
     """Entry (j, k) of R~: R itself, or for the ellipsoid diag(v_bar^2 / share)."""
     if not ellipsoid:
@@ -49,7 +49,7 @@ def _noise(R, share, offset, ellipsoid, j, k):  # pyright: ignore
     return R[j, j] / share[offset + j] if j == k else 0.0
 
 
-@kernel
+@inner
 def _root_column(X, r, n, factor):  # pyright: ignore
     """Column r of the lower Cholesky factor of the semi-definite X (n, n), whose columns before stand in factor (n, n):
     zero where the pivot is."""
@@ -63,7 +63,7 @@ def _root_column(X, r, n, factor):  # pyright: ignore
             factor[i, r] = total / factor[r, r] if factor[r, r] > 0.0 else 0.0
 
 
-@kernel
+@inner
 def _careful_gain(L, p, c2, sigma, M, g, C, m, R, share, ellipsoid, tall, K):  # pyright: ignore
     """As `best_gain`, by least squares: K' minimises |F' (I - C'K')|^2 + |R~^.5 K'|^2 with F F' = S, whose normal
     equations are (C S C' + R~) K' = C S. tall [F'C'; R~^.5 | F'; 0] becomes triangular by Householder reflections."""

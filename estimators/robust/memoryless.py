@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.core import kernel
+from ..kernels.core import inner, kernel
 from .small import SMALLEST_PIVOT, TINY, contraction, factorise_one, largest_eigenvalue, solve_one
 
 
-@kernel
+@inner
 def _value(g, g0, Q0, beta, nu):  # pyright: ignore
     """(f, q, g'(g0 - g)): f = |g0 - g|^2/beta + nu |g|^2 + 2 sqrt(nu q), q = g' Q0 g + (g'(g0 - g))^2/beta."""
     away, size, inner, form = 0.0, 0.0, 0.0, 0.0
@@ -27,7 +27,7 @@ def _value(g, g0, Q0, beta, nu):  # pyright: ignore
     return away / beta + nu * size + 2.0 * np.sqrt(nu * q), q, inner
 
 
-@kernel
+@inner
 def _reject(g, g0, Q0, beta, nu, H, slope, trial):  # pyright: ignore
     """Minimise f over g by damped Newton steps; exactly g = 0 where that kink is the optimum.
 
@@ -236,7 +236,7 @@ def memoryless_step(moved, A, M, N, kappa, Bw, D, C, received, mu, K, P, objecti
                     K[i, rows[j], s] = k[i, j]
 
 
-@kernel
+@inner
 def _residual(K, C, m, S, D, rows, M, G, Q, g, work):  # pyright: ignore
     """G = I - K C, Q = G S G' + K D D' K', g = G M."""
     n = S.shape[0]

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.core import kernel
+from ..kernels.core import inner
 from .small import SMALLEST_PIVOT, factorise_one, invert
 
 
-@kernel
+@inner
 def raw_measurement(L, g, C, R, K, G, V, u, row):  # pyright: ignore
     """True, with K = C^-1, where that gain (G = 0) is certified to be the ellipsoid's optimum.
 

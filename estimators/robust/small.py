@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.core import kernel
+from ..kernels.core import inner, kernel
 
 TINY = 1e-200
 """A squared linearisation error under this is none: its multiplier would overflow."""
@@ -14,7 +14,7 @@ SMALLEST_PIVOT = 1e-13
 """A Cholesky pivot under this share of its diagonal entry counts as zero."""
 
 
-@kernel
+@inner
 def factorise_one(V, m, least):  # pyright: ignore
     """Cholesky factor of the leading (m, m) block of V, in place in its lower triangle. False where V is not PD: a
     pivot is not above `least` of its diagonal entry."""
@@ -33,7 +33,7 @@ def factorise_one(V, m, least):  # pyright: ignore
     return True
 
 
-@kernel
+@inner
 def solve_one(V, m, row):  # pyright: ignore
     """Replace row[:m] by V^-1 row, V factorised."""
     for i in range(m):
@@ -46,7 +46,7 @@ def solve_one(V, m, row):  # pyright: ignore
         row[i] /= V[i, i]
 
 
-@kernel
+@inner
 def invert(C, n, inverse, work):  # pyright: ignore
     """inverse (n, n) of C (n, n) by Gauss-Jordan with row pivoting. False where C is singular."""
     size = 0.0
@@ -79,7 +79,7 @@ def invert(C, n, inverse, work):  # pyright: ignore
     return True
 
 
-@kernel
+@inner
 def largest_eigenvalue(X):  # pyright: ignore
     """Largest eigenvalue of the symmetric X (n, n) by Jacobi rotations (X is overwritten). NaN: X is not finite."""
     n = X.shape[0]

@@ -15,7 +15,7 @@ from ...scenarios.measurement import Interval, Measurement
 from ...scenarios.model import Bounds, DesignModel
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Parameters, Status, flag
-from ..kernels.core import kernel
+from ..kernels.core import inner, kernel
 
 SHRINKS = 1.0 - 1e-9
 """A cut has to take this much off the half-widths' product, more than rounding does."""
@@ -131,7 +131,7 @@ def _bounds(model: DesignModel) -> Bounds:
     return model.bounds
 
 
-@kernel
+@inner
 def lengths(H, m, s, out):  # pyright: ignore
     """out (>= m,): lengths of run s's generators with each state in units of the zonotope's half-width."""
     out[:m] = 0.0
@@ -146,7 +146,7 @@ def lengths(H, m, s, out):  # pyright: ignore
         out[j] = np.sqrt(out[j])
 
 
-@kernel
+@inner
 def reduce(H, m, keep, s):  # pyright: ignore
     """Run s's m generators as at most keep in place: the longest stay, a box takes the rest. Returns how many."""
     if m <= keep:
@@ -207,7 +207,7 @@ def grow(H, count, keep, A, M, N, kappa, g, moved, failed):  # pyright: ignore
         count[s] = m
 
 
-@kernel
+@inner
 def shrinkage(H, m, s, seen, gain, bar):  # pyright: ignore
     """Product of the half-widths after a cut over that before it, of run s; seen (>= m,) = C_j H, gain (n,), bar v."""
     size = 1.0

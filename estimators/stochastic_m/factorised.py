@@ -67,7 +67,7 @@ def still(factors: Factors) -> Factors:
     return factors._replace(F=np.eye(len(factors.F)), Ak=np.eye(len(factors.Ak)), **zero)
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _dot(a, b, n):
     """Sum of a[i] b[i] in four interleaved partial sums (a fixed order, four times as fast as one)."""
     p, q, r, s = 0.0, 0.0, 0.0, 0.0
@@ -82,7 +82,7 @@ def _dot(a, b, n):
     return (p + q) + (r + s)
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value, logw):
     """Child values and log weights (n g,): log w' = before + log p(theta'|theta) - |z0 - M x - theta' q|^2 / 2, three
     dot products per parent. work (3, n) is scratch. Returns what is left out, being the same for all children."""
@@ -120,7 +120,7 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
     return common
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _moments(gain, e, x, w, value, picked, count, work, out, s):
     """Mean and covariance over the children, from sums over the parents (eqs. (19), (22)); writes column s of out."""
     nu, n = len(x), len(work[0])

@@ -30,7 +30,7 @@ class Factors(NamedTuple):
     grid: Array
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def pair_product(a, b, transposed):
     """a b, or a b' (small matrices)."""
     rows, inner = a.shape
@@ -43,7 +43,7 @@ def pair_product(a, b, transposed):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _add(a, b, out):
     """out += a b, b and out vectors."""
     for i in range(a.shape[0]):
@@ -51,7 +51,7 @@ def _add(a, b, out):
             out[i] += a[i, l] * b[l]
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _solve_lower(L, b):
     """L^-1 b in place, b (r, columns)."""
     for i in range(L.shape[0]):
@@ -61,7 +61,7 @@ def _solve_lower(L, b):
             b[i, c] /= L[i, i]
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def gain_of(model, P, received, R):
     """What depends on neither data nor input: received rows, L with L L' = S, M = L^-1 C F, the gain W = P C' L^-T of
     whitened innovations, G = (1 - K C) F, and the posterior covariance; and -log det L - r/2 log 2 pi. R (ny, ny)."""
@@ -85,7 +85,7 @@ def gain_of(model, P, received, R):
     return (rows, C, L, M, W, model.F - pair_product(W, M, False), P - pair_product(W, W, True)), constant
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def innovation(model, gain, known, u, y, now, g, z, e):
     """What depends on data and input, into now (nk,), z (r, 2), e (nu, 2): the whitened innovation of a particle is
     z[:, 0] - M x - theta z[:, 1], its posterior mean G x + e[:, 0] + theta e[:, 1]; g (nu, 2) is scratch."""

@@ -10,7 +10,7 @@ from ...scenarios.machine_code import njit
 from ..kernels.modes import exponentials
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def collapse(logw, n, g, draws, picked, part):
     """Optimal proposal, eqs. (9), (12), (13): one of the g children of each of n parents, drawn by its weight.
 
@@ -79,7 +79,7 @@ def heaviest(logw, n, keep, index):
             j += 1
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def select(logw, w, n, total, keep, by_weight, uniform, index, kept):
     """Fill index (and the kept ones' log weights) with the particles that go on; returns how many.
 
@@ -100,7 +100,7 @@ def select(logw, w, n, total, keep, by_weight, uniform, index, kept):
     return keep
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def distinct(theta, logw, n, seen):
     """How many different parameter values the first n particles of non-zero weight have; seen (m,) is scratch."""
     seen[:] = False

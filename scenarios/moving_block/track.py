@@ -17,7 +17,7 @@ from ..machine_code import njit
 from ..measurement import Interval, PerRun
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def place(s, half, radius):
     """Arc length s (any lap) -> x, y, cos and sin of the heading. half: half a straight; all lengths in m."""
     arc = math.pi * radius
@@ -36,7 +36,7 @@ def place(s, half, radius):
     return radius, s - length, 0.0, 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def project(x, y, half, radius):
     """Arc length in [0, length) of the track's point nearest to (x, y); m."""
     arc = math.pi * radius
@@ -49,7 +49,7 @@ def project(x, y, half, radius):
     return y if y >= 0 else 4 * half + 2 * arc + y
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def curvature(s, half, radius):
     """1 / radius on the arcs, 0 on the straights; 1/m."""
     arc = math.pi * radius

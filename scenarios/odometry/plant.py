@@ -79,7 +79,7 @@ def _hand(driver: Driver) -> tuple[float, ...]:
     return driver.gain, *driver.asked, driver.lag, driver.near
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def _reference(s, v, courage, braking, stop, edge, top, limit, fastest):  # pyright: ignore
     """(reference speed, limit here as driven): under each lower limit ahead and to stand at the stop."""
     here = courage * min(top[limit], fastest)

@@ -146,7 +146,7 @@ class Law(NamedTuple):
     polach: bool
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def held(force, most, slides, law):  # pyright: ignore
     """(transmitted N, slides): an axle asked for `force` (N) where the rail bears `most` (N)."""
     use = abs(force) / most
@@ -156,7 +156,7 @@ def held(force, most, slides, law):  # pyright: ignore
     return force, False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def slip(w, slides, force, most, v, friction, strength, phase, t, h, law):  # pyright: ignore
     """The slip speed w (m/s, wheel less train) h seconds later."""
     if slides:
@@ -193,7 +193,7 @@ def polach(creep, friction, v):  # pyright: ignore
     return 2.0 * mu / np.pi * (ka * e / (1.0 + (ka * e) ** 2) + np.arctan(ks * e))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def polach_slip(use, friction, v):  # pyright: ignore
     """Slip speed (m/s) at which the rising branch of Polach's curve bears `use` of its greatest adhesion."""
     peak, best = 0.0, 0.0
@@ -213,7 +213,7 @@ def polach_slip(use, friction, v):  # pyright: ignore
     return 0.5 * (low + high) * v
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def friction_at(s, piece, edge, base, low, cells, begin, cell, run):  # pyright: ignore
     """(friction, piece, cell) at s (m); piece: that of the step before."""
     while piece + 1 < edge.shape[0] and s >= edge[piece + 1]:

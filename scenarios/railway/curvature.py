@@ -58,7 +58,7 @@ def _turning(W, pull, c0, c3, c4, forces):  # pyright: ignore
     return pull * c0 + W * W * W * (pull * (c3 + 3.0 * c4 * W) - forces.r2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def _farthest_on_bend(a, b, here, pull, c0, c2, c3, c4, forces):  # pyright: ignore
     """Greatest |da/dv - here| between a and b km/h on a piece that bends.
 

@@ -111,7 +111,7 @@ def climbs(s, slope, out):  # pyright: ignore
         out[r] = base[cell] + (jump[cell] if s[r] >= edge[cell] else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inner=True)
 def _advance(s, v, u, h, steep, forces, s_out, v_out):  # pyright: ignore
     for r in range(s.shape[0]):
         a = level(v[r], u[r], forces) - steep[r]

@@ -157,7 +157,7 @@ def simulate(line: Line, train: Train, controller: Controller, plan: Reference, 
     return Trip(state, u, acted, active, section, reference)
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _effort(a, s, v, forces, slope):  # pyright: ignore
     """The input u that gives the acceleration a: the inverse of the plant, not yet limited."""
     V = KMH * v
@@ -166,7 +166,7 @@ def _effort(a, s, v, forces, slope):  # pyright: ignore
     return force / (top * max(share(V, c0, c1, c2, c3, c4), 1e-3))
 
 
-@njit(cache=True)
+@njit(cache=True, inner=True)
 def _disturbed(s, v, u, forces, slope, mass, pull, hold, rise, wind, g):  # pyright: ignore
     """The acceleration of a train whose mass, forces, gradient and wind are not the nominal ones (page: `physical`).
 

@@ -13,6 +13,10 @@ from railstate.scenarios import machine_code
 HELPER = ("from railstate.scenarios.machine_code import njit\n\n@njit(cache=True)\ndef helper(x):\n    return x + {}\n")
 CALLER = ("from railstate.scenarios.machine_code import njit\n\nfrom .helper import helper\n\n@njit(cache=True)\n"
           "def caller(x):\n    return helper(x)\n")
+PARTS = ("from railstate.scenarios.machine_code import njit\n\n@njit(cache=True, inner=True)\ndef half(x):\n"
+         "    return x / 2\n\n@njit(cache=True, inner=True)\ndef over(x):\n    return 1 / x\n")
+WHOLE = ("from railstate.scenarios.machine_code import njit\n\nfrom .parts import half, over\n\n@njit(cache=True)\n"
+         "def whole(x):\n    return half(x) + over(x)\n")
 MAIN = """
 from small.caller import caller
 from small.alone import alone
@@ -39,6 +43,20 @@ def test_what_uses_an_edited_helper_in_another_file_is_compiled_anew_and_nothing
     assert run(tmp_path, MAIN) == ["2.0", "1", "1"]
     (package / "helper.py").write_text(HELPER.format("41.0"))
     assert run(tmp_path, MAIN) == ["42.0", "0", "1"]
+
+
+def test_a_part_is_compiled_with_the_kernels_that_use_it(tmp_path: Path) -> None:
+    """Two of one signature are told apart, from the cache as well, also by a kernel that is new; what a part raises is
+    raised; Python has no way in."""
+    package = tmp_path / "small"
+    package.mkdir()
+    for name, text in (("__init__", ""), ("parts", PARTS), ("first", WHOLE), ("second", WHOLE)):
+        (package / f"{name}.py").write_text(text)
+    for name, hits in (("first", ["0", "0"]), ("first", ["1", "0"]), ("second", ["0", "1"])):
+        code = (f"from small.{name} import half, whole\nprint(whole(4.0), *(len(each.stats.cache_hits) for each "
+                "in (whole, half)))\ntry: whole(0.0)\nexcept ZeroDivisionError: print('zero')\n"
+                "try: half(1.0)\nexcept TypeError as error: print(str(error).replace(' ', '-'))")
+        assert run(tmp_path, code) == ["2.25", *hits, "zero", "half-is-called-from-compiled-code-alone"]
 
 
 def test_two_processes_do_not_compile_the_same(tmp_path: Path) -> None:
