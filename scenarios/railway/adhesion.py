@@ -193,7 +193,7 @@ def polach(creep, friction, v):  # pyright: ignore
     return 2.0 * mu / np.pi * (ka * e / (1.0 + (ka * e) ** 2) + np.arctan(ks * e))
 
 
-@njit(cache=True, error_model="numpy", inner=True)
+@njit(cache=True, error_model="numpy")
 def polach_slip(use, friction, v):  # pyright: ignore
     """Slip speed (m/s) at which the rising branch of Polach's curve bears `use` of its greatest adhesion."""
     peak, best = 0.0, 0.0
