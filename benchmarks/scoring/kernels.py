@@ -1,22 +1,15 @@
-"""The compiled loops of scoring: errors into running sums, quadratic forms e' M^-1 e. Runs are innermost throughout.
+"""The compiled loops of scoring: errors into running sums, by window and phase too. Runs are innermost throughout.
 
-Scoring must cost little beside the filters it scores: a step is one call for the errors and one for each claimed
-matrix, and every loop over runs is one the compiler vectorises."""
+Scoring must cost little beside the filters it scores: many steps are one call, and every loop over runs is one that the
+compiler vectorises."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from ...estimators.kernels.core import factorise, forward, gather3, kernel, tile_width
+from ...estimators.kernels.core import kernel
 
 LANES = 8
-NO_ERROR = 1e-12
-"""A squared error under this share of a variance is none: a hundred times what counts as no variance beside it."""
-FINENESS, BINS = 16, 640
-"""Bins of an octave, and all bins, of the histogram of a run's NEES over the steps; the middle one begins at 1."""
-LOWEST, HIGHEST = 2.0 ** (-BINS / 2 / FINENESS), 2.0 ** (BINS / 2 / FINENESS)
 
 
 @kernel
@@ -64,33 +57,6 @@ def score_errors(vector, truth, active, scored, index, weight, owner, share, lim
         if scored.shape[1]:
             add_partial(vector[b], truth[b], on, scored[b], index, weight, owner, share, step, left_out)
         accumulate(step, on, totals)
-
-
-@kernel
-def score_forms(form, failed, live, lost, total, count, places, curves, middle, limit, inside, histogram):
-    """The NEES of steps b, form (B, S), taken up by total, count (S,) and curves (K, 6, ..) of each step: the sum over
-    runs in [4, 0], their number in [5, 0]. lost (S,): set where a live run failed. The rest as in `add_spread`."""
-    for b in range(form.shape[0]):
-        for s in range(lost.shape[0]):
-            lost[s] |= failed[b, s] and live[b, s] > 0.0
-        curve = curves[places[b]]
-        add_forms(form[b], live[b], total, count, curve[4], curve[5])
-        add_spread(form[b], live[b], middle, limit, inside, histogram)
-
-
-@kernel
-def score_sets(form, failed, diagonal, live, lost, index, weight, owner, share, inside, steps, half_width):
-    """Of steps b, form, live (B, S): inside (S,) counts those with the truth in the ellipsoid, form <= 1, steps (S,)
-    all, half_width (nq, S) sums the ellipsoid's: roots of its diagonal (B, n, S), NaN where it has no such element."""
-    for b in range(form.shape[0]):
-        for s in range(lost.shape[0]):
-            lost[s] |= failed[b, s] and live[b, s] > 0.0
-            if live[b, s] > 0.0 and form[b, s] == form[b, s]:
-                inside[s] += 1.0 if form[b, s] <= 1.0 + 1e-9 else 0.0
-                steps[s] += 1.0
-                for r in range(index.shape[0]):
-                    wide = diagonal[b, index[r], s] if index[r] < diagonal.shape[1] else np.nan
-                    half_width[owner[r], s] += share[r] * np.sqrt(weight[r] * weight[r] * (0.0 if wide < 0.0 else wide))
 
 
 @kernel
@@ -194,117 +160,6 @@ def accumulate_curves(step, live, last, steps, curve):
     for s in range(live.shape[0]):
         steps[s] += live[s]
     curve[3, 0] += lane_sum(live)
-
-
-@kernel
-def quadratic_forms(vector, truth, matrix, live, out, lost):
-    """out[s] = e' M^-1 e, e = vector - truth in the first n elements, by Cholesky. Where M is singular: infinite if e
-    leaves the directions that M allows for, else NaN (nothing to be judged).
-
-    vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where a run that live (S,) tells of has an
-    M that is indefinite or not finite."""
-    n, runs = matrix.shape[0], truth.shape[1]
-    shared = matrix.shape[2] == 1
-    width = runs if n * n * runs <= 8192 else tile_width(n, runs)
-    tile, factor = np.empty((n, n, 1 if width == runs else width)), np.empty((n, n, width))
-    source = matrix if shared or width == runs else tile
-    inverse, error = np.empty((n, width)), np.empty((n, 1, width))
-    failed = np.zeros(width, dtype=np.bool_)
-    for first in range(0, runs, width):
-        count = min(width, runs - first)
-        if not shared or first == 0:
-            for s in range(count):
-                failed[s] = False
-            if not shared and width < runs:
-                gather3(matrix, np.arange(first, first + count), count, tile)
-            factorise(source, factor, inverse, failed, False, min(count, matrix.shape[2]))
-        for s in range(1, width if shared and first == 0 else 0):
-            failed[s] = failed[0]
-            for i in range(n):
-                inverse[i, s] = inverse[i, 0]
-                for j in range(n):
-                    factor[i, j, s] = factor[i, j, 0]
-        for i in range(n):
-            mine, theirs, row = vector[i, first:first + count], truth[i, first:first + count], error[i, 0]
-            for s in range(count):
-                row[s] = mine[s] - theirs[s]
-        forward(factor, inverse, error, count)
-        total = out[first:first + count]
-        for s in range(count):
-            total[s] = 0.0
-            lost[first + s] |= failed[s] and live[first + s] > 0.0
-        for i in range(n):
-            row, scale = error[i, 0], inverse[i]
-            for s in range(count):
-                value = total[s] + row[s] * row[s]
-                total[s] = value if scale[s] > 0.0 else np.nan
-        for s in range(count):
-            if total[s] != total[s] and not failed[s]:
-                total[s] = _singular_form(vector, truth, matrix, factor, inverse, error, first, s)
-
-
-@kernel
-def _singular_form(vector, truth, matrix, factor, inverse, error, first, s):
-    """Infinite where run first + s errs in a direction in which its M claims no uncertainty, else NaN; factor,
-    inverse, error (n, 1, ..): as they stand after `forward`."""
-    for i in range(matrix.shape[0]):
-        if inverse[i, s] == 0.0:
-            rest = vector[i, first + s] - truth[i, first + s]
-            for k in range(i):
-                rest -= factor[i, k, s] * error[k, 0, s]
-            if rest * rest > NO_ERROR * matrix[i, i, 0 if matrix.shape[2] == 1 else first + s]:
-                return np.inf
-    return np.nan
-
-
-@kernel
-def add_forms(form, live, total, count, curve, curve_count):
-    """total, count (S,) take up form (S,) where live and not NaN; curve[0] its sum over runs, curve_count[0] their
-    number."""
-    value, ones = np.empty_like(live), np.empty_like(live)
-    for s in range(live.shape[0]):
-        on = live[s] > 0.0 and form[s] == form[s]
-        value[s] = form[s] if on else 0.0
-        ones[s] = 1.0 if on else 0.0
-        total[s] += value[s]
-        count[s] += ones[s]
-    curve[0] += lane_sum(value)
-    curve_count[0] += lane_sum(ones)
-
-
-@kernel
-def add_spread(form, live, middle, limit, inside, histogram):
-    """Of live runs whose form (S,) is not NaN: inside (S,) counts the steps with form <= limit, histogram (S, BINS)
-    form / middle, each octave in FINENESS equal parts; what is beyond either end, 0 and infinity too, is in the bin
-    there. No logarithm: which bin it is may not hang on its rounding."""
-    for s in range(live.shape[0]):
-        if live[s] > 0.0 and form[s] == form[s]:
-            inside[s] += 1.0 if form[s] <= limit else 0.0
-            size, place = form[s] / middle, 0
-            if size > HIGHEST:
-                place = BINS - 1
-            elif size > LOWEST:
-                part, octave = math.frexp(size)
-                place = min(BINS // 2 + (octave - 1) * FINENESS + int((2.0 * part - 1.0) * FINENESS), BINS - 1)
-            histogram[s, place] += 1
-
-
-@kernel
-def histogram_medians(histogram):
-    """The medians (S,) of the sizes in histogram (S, BINS), by linear interpolation within a bin, which is at most
-    1 / FINENESS wide. 0 and infinity in the first and last bin, NaN where nothing was counted."""
-    out = np.full(histogram.shape[0], np.nan)
-    for s in range(histogram.shape[0]):
-        half, below = histogram[s].sum() / 2.0, 0
-        for place in range(histogram.shape[1]):
-            count = histogram[s, place]
-            if count and below + count >= half:
-                octave, part = divmod(place - BINS // 2, FINENESS)
-                size = 2.0**octave * (1.0 + (part + (half - below) / count) / FINENESS)
-                out[s] = 0.0 if place == 0 else np.inf if place == BINS - 1 else size
-                break
-            below += count
-    return out
 
 
 @kernel

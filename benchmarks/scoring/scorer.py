@@ -14,7 +14,8 @@ from scipy.special import gammaincinv
 from ...estimators.interface import Status
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.setting import Quantity
-from .kernels import BINS, histogram_medians, score_bound, score_errors, score_forms, score_sets
+from .forms import BINS, histogram_medians, score_forms, score_sets
+from .kernels import score_bound, score_errors
 from .stretch import Stretch, everything
 
 CURVES = ("squared", "fourth", "error", "active", "nees", "nees-count")

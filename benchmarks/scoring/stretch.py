@@ -13,7 +13,8 @@ from ...estimators.interface import Estimate, Walk, misshapen
 from ...estimators.kernels.core import kernel
 from ...scenarios.arrays import Array, Index, Mask
 from ...scenarios.world import Step, Straight
-from .kernels import has_gaps, quadratic_forms
+from .forms import quadratic_forms
+from .kernels import has_gaps
 
 ROOM, LONGEST = 1 << 16, 64
 """How many numbers are kept at the most, and how many steps; single steps of many runs are not even copied."""

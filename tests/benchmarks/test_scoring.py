@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from railstate.benchmarks.scoring.kernels import BINS, add_spread, histogram_medians, lane_sum, quadratic_forms
+from railstate.benchmarks.scoring.forms import BINS, add_spread, histogram_medians, quadratic_forms
+from railstate.benchmarks.scoring.kernels import lane_sum
 from railstate.benchmarks.scoring.scorer import Scorer
 from railstate.benchmarks.scoring.windows import PhaseErrors
 from railstate.estimators.interface import Estimate, Status
