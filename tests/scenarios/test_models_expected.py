@@ -30,6 +30,8 @@ def content(name: str, thing: Any) -> Iterator[str]:
         yield f"{name} {thing}"
     elif is_dataclass(thing):
         for field in fields(thing):
+            if field.name == "whole":  # addresses of machine code
+                continue
             yield from content(f"{name}.{field.name}", getattr(thing, field.name))
     elif hasattr(thing, "_fields"):
         for key, part in thing._asdict().items():
