@@ -90,6 +90,8 @@ def test_passes_until_they_agree_or_the_time_is_up(monkeypatch: pytest.MonkeyPat
         return next(given)
 
     monkeypatch.setattr(latency, "_pass", one)
+    monkeypatch.setattr(latency, "SECONDS", 0.1)
+    monkeypatch.setattr(latency, "SAMPLES", 500)
     design, seconds = latency._timed(cell, "kalman", 1)
     assert design >= 0 and len(seconds) == kept and next(given, None) is None
     assert limits[0] == latency.SECONDS and limits[-1] == pytest.approx(latency.SECONDS - sum(map(sum, passes[:-1])))
@@ -98,7 +100,9 @@ def test_passes_until_they_agree_or_the_time_is_up(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(("steps", "cost", "limit", "count"), [
     (300, 1e-3, 10.0, 250), (255, 1e-3, 10.0, 250), (254, 1e-3, 10.0, 249), (5, 1e-3, 10.0, 0), (6, 1e-3, 10.0, 1),
     (300, 0.5, 2.0, 5), (300, 0.5, 1.9, 4)])
-def test_a_pass_leaves_its_first_steps_out(steps: int, cost: float, limit: float, count: int) -> None:
+def test_a_pass_leaves_its_first_steps_out(monkeypatch: pytest.MonkeyPatch, steps: int, cost: float, limit: float,
+                                           count: int) -> None:
+    monkeypatch.setattr(latency, "STEPS", 250)
     loop = SimpleNamespace(world=SimpleNamespace(steps=steps), seconds=0.0)
 
     def step(k: int) -> str:
