@@ -22,6 +22,7 @@ from .test_reproduce import Asked
 def test_every_number_under_every_reading(expected: Callable[[str, str], None], capsys: pytest.CaptureFixture[str],
                                           monkeypatch: pytest.MonkeyPatch) -> None:
     """What solves convex problems for seconds is replaced."""
+    monkeypatch.setenv("COLUMNS", "120")
     gains = np.random.default_rng(3).normal(size=(12, 12))
     monkeypatch.setattr(reproduce, "Book", lambda rows: Asked())
     monkeypatch.setattr(zou2018, "_certificates", lambda forces: (

@@ -140,7 +140,7 @@ def test_lines_and_trains_in_files(tmp_path: Path, expected: Callable[[str, str]
             for part in PARTS:
                 changed = {name: value for name, value in {**whole, key: part}.items() if value is not None}
                 told(f"{key} = {json.dumps(part)}", json.dumps(changed), read)
-    expected("lines-and-trains", "\n".join(said))
+    expected("track-and-train-entries", "\n".join(said))
 
 
 def test_parameters_one_at_a_time(expected: Callable[[str, str], None]) -> None:
