@@ -11,9 +11,8 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pyarrow as pa
 
-from ...estimators.registry import estimators
 from ..isolation.process import nursery
-from ..planning.plan import Plan, Task, own
+from ..planning.plan import Plan, Task
 from ..planning.tasks import make_tasks
 from .execute import execute
 from .isolated import Losses, isolated, strange
@@ -29,7 +28,6 @@ def run(plan: Plan, done: Mapping[tuple[str, str], set[int]], machinery: Machine
 
         yield from on_cluster(plan, done, machinery)
         return
-    begun = _begun(machinery) if machinery.jobs > 1 and _left(plan, done) > 1 else iter(())
     tasks = make_tasks(plan, done, machinery.jobs, machinery.batch)
     others = [task for task in tasks if strange(task)]
     if others:
@@ -39,7 +37,7 @@ def run(plan: Plan, done: Mapping[tuple[str, str], set[int]], machinery: Machine
     alone = machinery.jobs == 1 or len(tasks) <= 1
     try:
         numbered = ((number, execute(task)) for number, task in enumerate(tasks))
-        for number, result in numbered if alone else _parallel(tasks, machinery, begun):
+        for number, result in numbered if alone else _parallel(tasks, machinery):
             yield result
             del left[number]
     except _Lost:
@@ -60,26 +58,7 @@ def _numbered(number: int, task: Task) -> tuple[int, Result]:
     return number, execute(task)
 
 
-def _left(plan: Plan, done: Mapping[tuple[str, str], set[int]]) -> int:
-    """How many rows of the suite's own estimators are not done."""
-    return sum(max(plan.runs, cell.runs) - len(done.get((cell.key, label), ()))
-               for cell in plan.cells for label in cell.entries if own(cell, label))
-
-
-def _begun(machinery: Machinery) -> Iterator[None]:
-    """Have the workers start and import what they need while this process makes their tasks."""
-    import joblib
-
-    parallel = joblib.Parallel(n_jobs=machinery.jobs, backend="loky", timeout=machinery.timeout, batch_size=1,
-                               return_as="generator_unordered", pre_dispatch="all")
-    return parallel(joblib.delayed(_ready)() for _ in range(machinery.jobs))  # pyright: ignore
-
-
-def _ready() -> None:
-    estimators()
-
-
-def _parallel(tasks: list[Task], machinery: Machinery, begun: Iterator[None]) -> Iterator[tuple[int, Result]]:
+def _parallel(tasks: list[Task], machinery: Machinery) -> Iterator[tuple[int, Result]]:
     import joblib
     from joblib.externals.loky import get_reusable_executor  # pyright: ignore[reportMissingImports]
     from joblib.externals.loky.process_executor import TerminatedWorkerError  # pyright: ignore[reportMissingImports]
@@ -87,8 +66,6 @@ def _parallel(tasks: list[Task], machinery: Machinery, begun: Iterator[None]) ->
     parallel = joblib.Parallel(n_jobs=machinery.jobs, backend="loky", timeout=machinery.timeout, batch_size=1,
                                return_as="generator_unordered", pre_dispatch="2*n_jobs")
     try:
-        for _ in begun:
-            pass
         yield from parallel(joblib.delayed(_numbered)(n, task) for n, task in enumerate(tasks))
     except (TerminatedWorkerError, BrokenProcessPool, TimeoutError, multiprocessing.TimeoutError) as error:
         get_reusable_executor().shutdown(wait=False, kill_workers=True)
