@@ -97,6 +97,10 @@ class Room:
                 self.kept[name] = np.zeros((steps, *shape))
         return [self.kept[name][:steps] for name in shapes]
 
+    def gaussian(self, steps: int, nx: int, ny: int, runs: int) -> list[Array]:
+        """Those of a Kalman filter's `Walk`: mean, covariance, residual, variance."""
+        return self.of(steps, mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs), variance=(ny, runs))
+
 
 def misshapen(estimate: Estimate, nx: int, runs: int, parameters: int) -> str | None:
     """What is wrong with the arrays of an estimate of nx states, for that many runs and unknown parameters."""

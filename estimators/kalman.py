@@ -100,9 +100,7 @@ class ExtendedKalman(Estimator):
     def _room_for(self, course: Course) -> list[Array]:
         """The arrays of a `Walk`; from now on the runs' covariances differ."""
         self._expand()
-        (nx, runs), ny = self._mean.shape, self.model.ny
-        return self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
-                             variance=(ny, runs))
+        return self._room.gaussian(len(course.y), self.model.nx, self.model.ny, self.runs)
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

@@ -95,11 +95,9 @@ class SigmaPointKalman(Estimator):
         whole = self.model.compiled
         if whole is None or self._linear or not self.redraw or type(self) not in (UnscentedKalman, CubatureKalman):
             return None
-        (nx, runs), ny = self._mean.shape, self.model.ny
-        out = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
-                            variance=(ny, runs))
+        out = self._room.gaussian(len(course.y), self.model.nx, self.model.ny, self.runs)
         self._flag(walk_points(whole.transition, whole.measurement, whole.data, whole.Q, whole.noise,
-                               np.full(runs, course.period), self._weights, self._scale, course.u, course.y,
+                               np.full(self.runs, course.period), self._weights, self._scale, course.u, course.y,
                                course.received, course.variance, self._mean, self._covariance, self._failed, *out))
         return Walk(*out)
 

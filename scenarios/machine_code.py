@@ -85,8 +85,8 @@ class _Inner(_Kernel):
 
 
 def njit(inner: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """numba's njit. inner: called from other kernels alone, as a part of which it is compiled: in two thirds of the
-    time, and seen whole by the optimiser."""
+    """numba's njit. inner: called from other kernels alone, as a part of which it is compiled, not for itself too, and
+    seen whole by the optimiser."""
     flags: Any = {"no_cfunc_wrapper": True, **options}
     if inner:
         flags |= {"no_cpython_wrapper": True, "pipeline_class": _Parts}

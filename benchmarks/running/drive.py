@@ -54,7 +54,7 @@ class _Scoring(Observer):
         self.skip = int(np.searchsorted(step_times(world), score.skip - 1e-9))
         self.runs, self.watch, self.seconds = world.initial_mean.shape[1], watch, 0.0
         self.walks = not setting.config.faults and not world.closed_loop
-        self.stretch, self.faulty = Stretch(self.runs, model.own, 2 if self.walks else 1), bool(setting.config.faults)
+        self.stretch = Stretch(self.runs, model.own, 2 if self.walks else 1)
         self.scorer = Scorer(setting.quantities(), self.runs, world.steps, self.skip, dict(score.divergence),
                              None if model.performance is None else model.performance[:, :model.own])
         self.innovations = InnovationScore(self.runs, world.steps, self.skip)
@@ -91,8 +91,7 @@ class _Scoring(Observer):
             stretch.take(k, estimate, step)
         if stretch.full:
             self.flush()
-        if self.faulty:
-            self.faults.add(estimate, step)
+        self.faults.add(estimate, step)
         if self.riccati:
             self.riccati.take(k, step)
         self.seconds += perf_counter() - begun
@@ -128,8 +127,7 @@ class _Scoring(Observer):
         begun = perf_counter()
         if measurement.step == step.number:  # a late one tells of its own step
             self.innovations.add(self.k, step.active, measurement, innovation)
-            if self.faulty:
-                self.faults.judged(step, measurement, self.estimator.rejected)
+            self.faults.judged(step, measurement, self.estimator.rejected)
         self.seconds += perf_counter() - begun
 
 
