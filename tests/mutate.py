@@ -35,6 +35,7 @@ PRELOADED = ("numba", "pandas", "pyarrow.parquet", "pyarrow.compute", "scipy.lin
 """What a trial need not import anew: libraries, nothing of ours."""
 CHECKS = (("ruff", "check", "--no-cache"), ("pyright",))
 """What CI asks besides the tests; what only these catch is said so."""
+LATE = "+ Timeout +"
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
@@ -98,7 +99,8 @@ class Room:
             sys.path.insert(0, str(self.tree))
             import pytest
 
-            code = int(pytest.main(["-n", "0", "--dist", "no", "-p", "no:cacheprovider", "--timeout", "300", *words],
+            code = int(pytest.main(["-n", "0", "--dist", "no", "-p", "no:cacheprovider", "--timeout", "150",
+                                    "--timeout-method", "thread", *words],
                                    plugins=plugins))
         finally:
             sys.stdout.flush()
@@ -152,7 +154,7 @@ def attempt(room: Room, options: argparse.Namespace) -> None:
             chosen = tests.of(faults[number], options.seconds) if options.tests == ["tests"] else options.tests
             names = [name for name in chosen if name not in unfit]
             said = {"number": number, **one(room, tests, faults[number], names, options.seconds)}
-            catchers |= dict.fromkeys([number], said["by"]) if said["by"] else {}
+            catchers |= {number: said["by"]} if said["by"] else {}
             with (room.folder / f"tried{options.name}.jsonl").open("a") as out:
                 out.write(json.dumps(said) + "\n")
             print("{number} {how}: {path}:{line} {old!r} -> {new!r} ({tests} tests, {seconds} s) {by}".format(**said),
@@ -178,6 +180,7 @@ def one(room: Room, tests: Tests, fault: Fault, names: list[str], seconds: float
         try:
             code, by = room.tried(["-x", *names], 600 + 10 * seconds)
             how = {0: "survives", 1: "caught", None: "caught: no end"}.get(code, f"caught: pytest ends with {code}")
+            how = "caught: too long" if code == 1 and LATE in (room.folder / "trial.log").read_text() else how
             if code == 0:
                 how = next((f"caught by {words[0]}" for words in CHECKS if refused(room, words, fault.path)), how)
         finally:
