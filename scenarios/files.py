@@ -98,7 +98,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     mistakes: list[str] = []
     unfit: dict[str, list[str]] = {}
     refused: InputError | None = None
-    variants: dict[str, dict[str, Any]] = {}
+    variants, configs = dict[str, dict[str, Any]](), dict[str, Any]()
     for variant, changes in named.items():
         if not re.fullmatch(LABEL, variant):
             mistakes.append(f"variants: \"{variant}\" is no name; allowed: letters, digits and . _ -")
@@ -122,8 +122,8 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
             refused, unfit[variant] = refused or error, [str(error)]
             continue
         merged = located(merged, Path.cwd())
-        found = validate(merged, where)
-        if found and overrides and not validate(plain, where):
+        found, configs[variant] = validate(merged, where)
+        if found and overrides and not validate(plain, where)[0]:
             unfit[variant] = found
             continue
         prefix = f"variants.{variant}: " if changes else ""
@@ -132,7 +132,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     if refused and (not variants or only in unfit):
         raise refused
     touched = {key.partition(".")[0] for key in overrides or ()}
-    mistakes += _strays(variants.values(), layers[-1].table, touched) if not mistakes else []
+    mistakes += _strays(variants, configs, layers[-1].table, touched) if not mistakes else []
     if not variants or only in unfit:
         usual = {variant: found for variant, found in unfit.items() if named[variant].get("default", True)}
         mistakes += [f"variants.{variant}: {line}" if named[variant] else line
@@ -143,19 +143,20 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
                     frozenset(name for name, changes in named.items() if not changes.get("default", True)), layers)
 
 
-def validate(table: dict[str, Any], where: str) -> list[str]:
-    """The mistakes of one resolved variant, each `path: what is wrong; what is allowed`."""
+def validate(table: dict[str, Any], where: str) -> tuple[list[str], Any]:
+    """The mistakes of one resolved variant, each `path: what is wrong; what is allowed`, and what it says, checked;
+    None where it cannot be."""
     plant = table.get("plant")
     if not isinstance(plant, dict) or not isinstance(plant.get("kind"), str):
-        return ["plant.kind: missing; it names the plant, such as kind = \"metro\""]
+        return ["plant.kind: missing; it names the plant, such as kind = \"metro\""], None
     try:
         kind = setting_for(plant["kind"], where)
     except InputError as error:
-        return [str(error).removeprefix(f"{where}: ")]
+        return [str(error).removeprefix(f"{where}: ")], None
     try:
         setting = kind(kind.Config.model_validate(table))
     except ValidationError as error:
-        return describe(error, kind.Config, table=table)
+        return describe(error, kind.Config, table=table), None
     known = [item.name for item in setting.quantities()]
     mistakes = _unfit_faults(setting)
     mistakes += [f"score.divergence.{name}: no such quantity; allowed: {', '.join(known)}"
@@ -172,7 +173,7 @@ def validate(table: dict[str, Any], where: str) -> list[str]:
             setting.chosen(entry.knowledge, entry.augment)
         except InputError as error:
             mistakes.append(f"estimators.{label}.{error}")
-    return mistakes
+    return mistakes, setting.config
 
 
 def _unfit_faults(setting: Setting[Any]) -> list[str]:
@@ -200,17 +201,19 @@ def file_given(setting: Setting[Any]) -> bool:
     return found is not None
 
 
-def _strays(variants: Collection[dict[str, Any]], own: Mapping[str, Any], touched: Collection[str]) -> list[str]:
+def _strays(variants: Mapping[str, dict[str, Any]], configs: Mapping[str, Any], own: Mapping[str, Any],
+            touched: Collection[str]) -> list[str]:
     """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden,
-    nor those of a base, of which there may be less left. own: the file's own table."""
+    nor those of a base, of which there may be less left. configs: what is checked already; own: the file's own
+    table."""
     tables = [own, *own.get("variants", {}).values()]
     left = [(key, path) for key in ("origin", "fitted") for path in sorted(
         {path for table in tables for path in table.get(key, ())}) if path.partition(".")[0] not in touched]
-    for table in variants:
+    for variant, table in variants.items():
         if not left:
             break
         try:
-            config = setting_for(table["plant"]["kind"], "").Config.model_validate(table)
+            config = configs.get(variant) or setting_for(table["plant"]["kind"], "").Config.model_validate(table)
         except ValidationError:  # of a variant that nobody asked for
             return []
         left = [(key, path) for key, path in left if not _names_a_key(path, config)]

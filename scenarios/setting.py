@@ -141,7 +141,7 @@ class Setting(ABC, Generic[ConfigT]):
 
     def chosen(self, knowledge: Mapping[str, Any], augment: Mapping[str, Augment]) -> list[Extra]:
         """The extra states asked for, their numbers in place of the usual ones. Raises InputError."""
-        offered = self.extras(knowledge)
+        offered = self.extras(knowledge) if augment else {}
         out: list[Extra] = []
         for name, asked in augment.items():
             if name not in offered:

@@ -5,6 +5,7 @@ Truth is eq. (4) with exact zero-order hold; estimators are told a grid of f, or
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..randomness import Streams
 from ..setting import Quantity, Setting
 from ..world import Sensing, Trajectory
 from .config import BrakingConfig, Knowledge
-from .plant import discretise
+from .plant import Affine, discretise
 from .told import Told, Walk, augmented_model, grid_model, scheduled_model
 
 
@@ -30,10 +31,13 @@ class Braking(Setting[BrakingConfig]):
 
     def __init__(self, config: BrakingConfig) -> None:
         super().__init__(config)
-        plant = config.plant
-        self.plant = discretise(plant.response_time, plant.pade_rate, config.time.period)
-        self.targets = plant.targets(config.time.period, config.time.steps)
-        self.rates = plant.rates(config.time.period, config.time.steps)
+        self.targets = config.plant.targets(config.time.period, config.time.steps)
+        self.rates = config.plant.rates(config.time.period, config.time.steps)
+
+    @cached_property
+    def plant(self) -> Affine:
+        """The discretised plant."""
+        return discretise(self.config.plant.response_time, self.config.plant.pade_rate, self.config.time.period)
 
     def quantities(self) -> tuple[Quantity, ...]:
         return (Quantity("f", "1", ((4, 1.0),)), Quantity("displacement", "m", ((0, 1.0),)),

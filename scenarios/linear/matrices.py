@@ -85,10 +85,14 @@ def at_step(matrix: list[Any]) -> AtStep:
 
     The function raises ValueError where an expression has no finite value."""
 
+    def entries(rows: list[Any]) -> list[list[Any]]:
+        return [[_entry(entry) for entry in row] for row in rows]
+
+    once = None if _per_step(matrix) else entries(matrix)
+
     def value(k: int) -> Array:
-        rows = matrix[k] if _per_step(matrix) else matrix
-        entries = [[_entry(entry) for entry in row] for row in rows]
-        return np.array([[entry(k) if callable(entry) else entry for entry in row] for row in entries])
+        rows = once or entries(matrix[k])
+        return np.array([[entry(k) if callable(entry) else entry for entry in row] for row in rows])
 
     return remembered(value, varies(matrix))
 

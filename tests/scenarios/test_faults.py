@@ -14,7 +14,7 @@ RUNS = 6
 
 
 def world(name="ningbo-metro", variant="gaussian", runs=range(RUNS), **overrides):
-    found = load(name, {key.replace("__", "."): value for key, value in overrides.items()})
+    found = load(name, {key.replace("__", "."): value for key, value in overrides.items()}, variant)
     return found.setting(variant).world(Streams(1, name, variant, runs))
 
 
