@@ -55,11 +55,12 @@ def shares(error, limit, counts):  # pyright: ignore
 
 
 def _percentiles(values: Array, percents: Sequence[float]) -> list[float]:
-    """Of values, by linear interpolation between order statistics."""
+    """Of values, infinite ones too, by linear interpolation between order statistics."""
     places = [percent / 100.0 * (len(values) - 1) for percent in percents]
     pairs = [(int(np.floor(place)), min(int(np.floor(place)) + 1, len(values) - 1)) for place in places]
     ordered = np.partition(values, sorted({place for pair in pairs for place in pair}))
-    return [float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
+    return [float(ordered[low] + (place - low) * (ordered[high] - ordered[low])
+                  if place > low and ordered[high] > ordered[low] else ordered[low])
             for place, (low, high) in zip(places, pairs, strict=True)]
 
 
