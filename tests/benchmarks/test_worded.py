@@ -15,6 +15,7 @@ from railstate.benchmarks.telling.estimators import record
 from railstate.benchmarks.telling.markup import to_latex, to_markdown
 from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
 from railstate.benchmarks.telling.report import plots
+from railstate.benchmarks.telling.report.matrix import View, _tally
 from railstate.benchmarks.telling.report.tuned import tuned_table
 from railstate.benchmarks.telling.sentences import finding, short_finding
 from railstate.benchmarks.telling.tables import cell_table, outage_tables, phase_tables, window_tables
@@ -159,6 +160,14 @@ def test_what_the_panels_draw_stands_beside_its_name_and_inside() -> None:
     assert (wide.low, wide.high, wide.log) == (pytest.approx(10**-0.04), pytest.approx(10**1.04), True)
     assert (one.low, one.high) == (pytest.approx(4.5), pytest.approx(5.5))
     assert plots._ticks(narrow) == [2.0, 2.5, 3.0]
+
+
+def test_a_tally_of_a_column_and_the_shares_of_its_bar() -> None:
+    words = ["best", "worse", "tie", "reference", "worse", "undecided", "lost", "better"]
+    views = [View("", "", "", None, word) for word in words]
+    assert _tally([*views, None]) == ("★= 2 ▼ 1 ◇ 1 ? 1 ▲ 2 ✕ 1", [
+        ("best", 25.0), ("tie", 12.5), ("outline", 12.5), ("open", 12.5), ("w2", 25.0), ("lost", 12.5)])
+    assert _tally([views[1], None, views[1]]) == ("▲ 2", [("w2", 100.0)]) and _tally([None]) == ("", [])
 
 
 def test_what_tuning_gained_as_a_table() -> None:

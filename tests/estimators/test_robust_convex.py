@@ -95,6 +95,41 @@ def test_redundant_sensors_are_solved(form: str) -> None:
             assert verdict == 0 and objective == pytest.approx(reference(form, problem).objective, rel=2e-5)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-6])
+@pytest.mark.parametrize(("n", "ny"), [(1, 3), (2, 3), (3, 2), (3, 5)])
+def test_without_a_disturbance_the_gain_is_kalmans_for_noise_that_is_coupled(n: int, ny: int, scale: float) -> None:
+    """In information form, which stands where sensors are redundant and S is far above their noise."""
+    random = np.random.default_rng(15)
+    p = draw(random, (n, ny, 1)) | {"N": np.zeros(n), "g": np.zeros((n, 1))}
+    root = scale * random.normal(size=(ny, ny))
+    R, K, P = root @ root.T, np.zeros((n, ny, 1)), np.zeros((n, n, 1))
+    stability, verdict = np.zeros(1), np.zeros(1, dtype=np.int64)
+    A, g, C, Pi = (np.ascontiguousarray(p[name][:, :, None]) for name in ("A", "g", "C", "Pi"))
+    recursive_step(Pi, np.ones(1, bool), A, p["M"], p["N"], np.ones(1), g, C, np.ascontiguousarray(R[:, :, None]),
+                   np.ones((ny, 1), bool), False, K, P, stability, verdict)
+    H = p["C"].T @ np.linalg.inv(R)
+    after = np.linalg.inv(np.linalg.inv(p["A"] @ p["Pi"] @ p["A"].T) + H @ p["C"])
+    assert verdict[0] == 0
+    np.testing.assert_allclose(P[:, :, 0], after, rtol=1e-6, atol=1e-7 * scale**2)
+    np.testing.assert_allclose(K[:, :, 0], after @ H, rtol=1e-4, atol=1e-5)
+    G = np.eye(n) - K[:, :, 0] @ p["C"]
+    assert stability[0] == pytest.approx(np.linalg.norm(G @ p["A"], 2) ** 2, rel=1e-6)
+
+
+def test_a_convex_problem_without_a_solution_is_a_status_and_the_prediction() -> None:
+    """One sensor of two is no contraction by itself; the runs beside it are as they are alone."""
+    _, ys, received = admissible(3, 3)
+    received[:] = True
+    received[1, 0, 1] = False
+    estimator = started(RobustBounded, model(3), solver="cvxpy")
+    found = follow(estimator, ys, received)
+    assert estimator.status.tolist() == [Status.ok, Status.infeasible, Status.ok]
+    assert estimator.reasons == {1: "the convex problem has no solution (solver: infeasible)"}
+    np.testing.assert_array_equal(found[1].mean[:, 1], plant_A @ found[0].mean[:, 1])
+    alone = follow(started(RobustBounded, model(1), solver="cvxpy"), ys[:, :, 2:], received[:, :, 2:])
+    np.testing.assert_allclose(found[2].mean[:, 2], alone[2].mean[:, 0], rtol=1e-6)
+
+
 @pytest.mark.parametrize("form", ["F1", "F2", "F3"])
 def test_objective_with_missing_measurements(form: str) -> None:
     random = np.random.default_rng(12)

@@ -44,7 +44,7 @@ def example_run(cell: CellResults) -> Canvas | None:
                       spanning(longest.truth * factor, log=False), title=bracket(f"{name}, truth", unit), x_ticks=False)
         truth.line(longest.time[use], longest.truth[use] * factor, Style("ink"))
         errors = {label: (track.time, (track.estimate - track.truth) * factor) for label, track in tracks.items()}
-        largest = {label: float(np.nanmax(np.abs(error), initial=0.0)) for label, (_, error) in errors.items()}
+        largest = {label: float(np.abs(np.nan_to_num(error)).max()) for label, (_, error) in errors.items()}
         most = CROWDED_OUT * min((size for size in largest.values() if size > 0), default=0.0)
         off = [label for label, size in largest.items() if size > most]
         y = spanning(*(error for label, (_, error) in errors.items() if label not in off), log=False)

@@ -44,7 +44,7 @@ def error_under_allowance(cell: CellResults) -> Canvas | None:
     errors = {label: np.where(known, track.estimate - track.truth - shift, np.nan) for label, track in tracks.items()}
     room = legend_height([*errors, "allowed"], cell.width - 8)
     canvas = Canvas(14 + 150 + 26 + room, f"Error under the allowance, {cell.key}", cell.width)
-    largest = max(float(np.nanmax(np.abs(error), initial=0.0)) for error in errors.values())
+    largest = np.abs(np.nan_to_num([*errors.values()])).max()
     highest = float(np.clip(largest, 1.2 * np.nanmax(allowed), 2.5 * np.nanmax(allowed)))
     panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 150, spanning(at, log=False, margin=0.0),
                   Scale(-highest, highest), title="error of the distance since the last balise [m]",
