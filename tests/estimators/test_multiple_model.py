@@ -12,11 +12,11 @@ import pytest
 from railstate.estimators import mode_grid as transitions
 from railstate.estimators.interface import Estimator, Status
 from railstate.estimators.multiple_model.imm import InteractingMultipleModel
-from railstate.estimators.multiple_model.oracle import KnownParameterKalman
+from railstate.estimators.multiple_model.oracle import KnownParameterKalman, _between, reached
 from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
-from railstate.scenarios.model import DesignModel, grid_of
+from railstate.scenarios.model import DesignModel, Grid, grid_of
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
 from scipy.stats import multivariate_normal
@@ -233,3 +233,21 @@ def test_imm_counts_its_filters(setting: Braking) -> None:
     estimator = InteractingMultipleModel({})
     follow(estimator, setting.design_model({}, world.initial_mean), world, 7)
     assert estimator.counters()["kalman-updates"].tolist() == [77.0, 77.0]
+
+
+def test_between_the_values_of_a_grid_lie_lines_that_go_on_beyond_it() -> None:
+    grid, values = np.array([0.5, 1.0, 3.0, 7.0]), np.array([4.0, -2.0, 0.0, 1.0])
+    theta = np.array([0.5, 0.75, 1.0, 1.5, 3.0, 6.0, 7.0])
+    np.testing.assert_array_equal(_between(theta, grid, values), np.interp(theta, grid, values))
+    np.testing.assert_array_equal(_between(np.array([0.0, 11.0]), grid, values), [10.0, 2.0])
+    np.testing.assert_array_equal(_between(theta, grid[:1], values[:1]), [4.0] * 7)
+    np.testing.assert_array_equal(_between(theta[:3], grid[:2], values[:2]), [4.0, 1.0, -2.0])
+
+
+def test_noise_reaches_states_through_others_in_any_mode() -> None:
+    """The last through the first, the first through the second, in one mode; the third is never reached."""
+    A, Q = np.stack([np.eye(4)] * 2), np.diag([0.0, 1.0, 0.0, 0.0])
+    A[1, 0, 1], A[0, 3, 0], A[0, 1, 2] = -1.0, 0.5, 2.0
+    modes = Grid("f", np.arange(2.0), A, np.zeros((2, 4, 0)), np.eye(1, 4), Q, np.eye(1), np.full(2, 0.5))
+    assert reached(modes).tolist() == [True, True, False, True]
+    assert reached(replace(modes, Q=np.zeros((4, 4)))).tolist() == [False] * 4
