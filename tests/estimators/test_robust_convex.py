@@ -180,8 +180,8 @@ def test_f1_tells_where_its_stability_condition_is_active_or_hopeless() -> None:
 
 @pytest.mark.parametrize("cls", [RobustBounded, RobustEllipsoid, RobustMeanSquare])
 def test_metro_trajectories(cls: Any) -> None:
-    """A whole run; every step's estimate and objective, both solvers fed the same measurements."""
-    setting = load("ningbo-metro").setting("switching")
+    """A whole short trip; every step's estimate and objective, both solvers fed the same measurements."""
+    setting = load("ningbo-metro", {"plant.line.stops": [0.0, 400.0]}, "switching").setting("switching")
     streams = Streams(4, "ningbo-metro", "switching", [0])
     world = setting.world(streams)
     pair = []
@@ -203,7 +203,7 @@ def test_metro_trajectories(cls: Any) -> None:
         np.testing.assert_allclose(a.mean, b.mean, atol=1e-5)
         if a.ellipsoid is not None and b.ellipsoid is not None:
             assert np.trace(a.ellipsoid[:, :, 0]) == pytest.approx(np.trace(b.ellipsoid[:, :, 0]), rel=2e-5)
-    assert k > 500
+    assert k > 200
     assert fast.extremes()["contraction"] == pytest.approx(slow.extremes()["contraction"], abs=1e-4)
     assert fast.status[0] == slow.status[0] == Status.ok
 
