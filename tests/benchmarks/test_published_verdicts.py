@@ -71,3 +71,11 @@ def test_numbers_of_one_run_by_hand(n: int, away: float) -> None:
     assert judged and judged == pytest.approx((p, np.sqrt(p * (1 - p) / n), 0.05, 1.0, word))
     assert word == {(18, 0.0): "undecided", (19, 0.0): "fitted", (19, 9.0): "undecided", (60, 3.0): "undecided",
                     (80, 9.0): "not reproduced", (300, 2.1): "undecided", (300, 2.6): "not reproduced"}[n, away]
+
+
+def test_numbers_of_other_runs_are_not_judged_together() -> None:
+    """One alone, one that there is no number for, one that is exact, runs of another count."""
+    trial, cells, some = Trial(expected="fitted", rounding=0.5), [cell()] * 2, Found(0, 0, 1, np.arange(30.0))
+    for found in ([some], [some, None], [some, Found(1.0)], [some, Found(0, 0, 1, np.arange(29.0))]):
+        assert together(trial, cells[:len(found)], found) is None
+    assert together(trial, cells, [some, Found(0, 0, 1, np.arange(30.0) ** 2)]) is not None
