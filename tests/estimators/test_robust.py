@@ -242,6 +242,43 @@ def test_sensors_without_bounds() -> None:
     assert (half.estimate().mean == only.estimate().mean).all()
 
 
+SAME: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]] = [
+    ({"kappa": 0.3}, {"kappa": 0.02}, {"kappa": 0.02}, {}),  # a parameter instead of the model's
+    ({"start": 3.0}, {"initial_scale": 1.0}, {}, {"initial_scale": 3.0}),
+    ({}, {"initial_scale": 4.0, "kappa": 0.0}, {"start": 4.0, "kappa": 0.0}, {"initial_scale": 1.0}),
+    ({"v_bar": (np.inf, 0.4)}, {"sigmas": 2.0}, {"v_bar": (2.0 / 3**0.5, 0.4)}, {}),  # told a variance of v_bar^2 / 3
+    ({"v_bar": (1.0, 0.4)}, {"sigmas": 9.0}, {"v_bar": (1.0, 0.4)}, {})]
+"""A model and parameters, and others that say the same."""
+
+
+@pytest.mark.parametrize("cls", FAMILY)
+@pytest.mark.parametrize("one", SAME)
+def test_what_is_said_in_two_ways_is_the_same(cls: type[Estimator], one: tuple[dict[str, Any], ...]) -> None:
+    _, ys, received = admissible(2, 8)
+    received[:] = received[:, :1]
+    told, parameters, other, others = one
+    known = cls.Parameters.model_fields
+    if not {*parameters, *others} <= set(known):
+        with pytest.raises(ValueError, match="xtra inputs are not permitted"):
+            cls({**parameters, **others})
+        return
+    found, right = (started(cls, model(2, **facts), **words) for facts, words in ((told, parameters), (other, others)))
+    for a, b in zip(follow(found, ys, received), follow(right, ys, received), strict=True):
+        for name in ("mean", *cls.claims):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-12, atol=1e-300)
+    np.testing.assert_array_equal(found.status, right.status)
+
+
+def test_a_first_bound_holds_the_box_or_is_the_covariance() -> None:
+    """The ellipsoid's default is the number of states, times P0; the mean square's is P0 itself."""
+    for cls, scale in ((RobustEllipsoid, 2.0), (RobustMeanSquare, 1.0)):
+        first = started(cls, model(2, start=3.0)).estimate()
+        bound = first.ellipsoid[:, :, 1] if first.ellipsoid is not None else first.bound[1]
+        np.testing.assert_allclose(bound, scale * 3.0 * (np.diag([1.0, 0.25]) if first.ellipsoid is not None else 1.25))
+    with pytest.raises(Unsupported, match="RobustBounded needs finite disturbance bounds w_bar"):
+        RobustBounded().design(model(2, w_bar=(0.3, np.inf)))
+
+
 def test_portions_need_bounds_for_them() -> None:
     told = model(1, kappa=0.0)
     told = replace(told, transition=lambda x, u, interval: x)
