@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from railstate.benchmarks.judging.selection import Aligned
 from railstate.benchmarks.judging.table import Cell, framed
 from railstate.benchmarks.scoring.requirements import RequirementScores
@@ -165,6 +165,30 @@ def test_requirements_that_do_not_fit_are_told() -> None:
                    asked(form="allowance", constant=1, share=0)], ["position", "speed"], False)
     assert [line.split(":")[0] for line in found] == ["requirements.0.quantity", "requirements.1.form", "requirements"]
     assert "allowed: position, speed" in found[0] and "references" in found[1] and "stands twice" in found[2]
+
+
+SOUND: dict[str, dict[str, object]] = {
+    "allowance": {"constant": 0.0, "share": 0.0}, "speed": {"points": [[0.0, 0.5], [1.0, 0.1]]},
+    "stop": {"within": 0.1},
+    "confidence": {"k": 0.1}, "percentile": {"quantity": "speed", "percent": 100.0, "limit": 0.1}}
+
+
+@pytest.mark.parametrize(("form", "changes", "field"), [
+    *((form, {}, "") for form in SOUND), ("allowance", {"constant": -0.1}, "constant"),
+    ("allowance", {"share": -0.1}, "share"), ("speed", {"points": [[0.0, 0.5], [0.0, 0.6]]}, "speed"),
+    ("speed", {"points": [[1.0, 0.5], [0.5, 0.5]]}, "speed"), ("speed", {"points": [[1.0, 0.0]]}, "speed"),
+    ("speed", {"points": [[1.0, 1e-9]]}, ""), ("speed", {"points": []}, "points"), ("speed", {"points": [[1.0]]}, "0"),
+    ("stop", {"within": 0.0}, "within"), ("confidence", {"k": 0.0}, "k"), ("percentile", {"percent": 0.0}, "percent"),
+    ("percentile", {"percent": 100.1}, "percent"), ("percentile", {"limit": 0.0}, "limit"),
+    ("stop", {"accept": 1.0}, "accept"), ("stop", {"accept": 0.0}, "accept"), ("stop", {"per": "time"}, "per"),
+    ("percentile", {"per": "time"}, "per"), ("allowance", {"per": "time"}, ""), ("stop", {"name": "-x"}, "name")])
+def test_what_a_requirement_may_say(form: str, changes: dict[str, object], field: str) -> None:
+    try:
+        asked(form=form, **{**SOUND[form], **changes})
+        assert not field
+    except ValidationError as error:
+        (found,) = error.errors()
+        assert field in map(str, found["loc"]), found
 
 
 @pytest.mark.parametrize(("table", "expected"), [

@@ -86,7 +86,8 @@ GIVEN: dict[str, bytes] = {
                    "GPRMC,000001.00,V,,,,,,,091202,,,N", "GPGLL,4717.14,N,00833.93,E,000002.00,V,A",
                    GGA.replace("235958.50", "000003.25").format(quality=0),
                    GGA.replace("235958.50", "").format(quality=1),
-                   GGA.replace("235958.50", "000004.00").format(quality=9)) + b"\r\n$GPGGA,1*00\r\nnoise\r\n",
+                   GGA.replace("235958.50", "000004.00").format(quality=9)) + (
+                       b"\r\n$GPGGA,1*00\r\nnoise\r\n$GPGLL,4717.99,N,00833.99,E,000009.00,A,A\r\n"),
     "untimed.nmea": nmea("GPVTG,054.7,T,034.4,M,005.5,N,010.2,K,A"), "ship.nmea": b"!AIVDM,1,1,,A,x,0*00\n"}
 
 
