@@ -167,11 +167,3 @@ def test_a_worker_that_is_killed_changes_no_row_and_a_lost_scheduler_is_one_line
     assert 0 < len(kept) < len(rows("here"))
     assert railstate(*words, "--out", "lost").code == 0
     same(rows("here"), rows("lost"))
-
-
-def test_a_cluster_without_workers_is_one_line(railstate: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-                                               ) -> None:
-    monkeypatch.setattr(on_dask, "PATIENCE", 2.0)
-    with machine(tmp_path, workers=0) as found:
-        done = railstate("run", "cart.toml/calm", "--estimators", "ekf", "--runs", 2, *on(found))
-    assert done.code == 2 and done.err == f"error: --scheduler {found.address}: has no workers\n"
