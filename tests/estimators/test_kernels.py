@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from railstate.estimators.kernels import core as kernels
+from railstate.estimators.kernels import particles
 from railstate.estimators.kernels.kalman import in_turn, kalman_update, shared_kalman_update
 from railstate.scenarios.model import product
 from scipy.stats import multivariate_normal, norm
@@ -220,3 +221,16 @@ def test_innovations_in_turn_are_conditional_gaussians(ny: int) -> None:
             gain = np.linalg.solve(spread[np.ix_(before, before)], spread[before, j])
             assert found[j, s] == pytest.approx(given[j, s] - gain @ given[before, s], rel=1e-10)
             assert variance[j, s] == pytest.approx(spread[j, j] - gain @ spread[before, j], rel=1e-10)
+
+
+def test_sums_and_greatest_entries_in_lanes() -> None:
+    """Of every length about the lanes, wherever the greatest stands."""
+    dot, largest = particles.dot.py_func, particles._largest.py_func
+    for n in range(21):
+        a, b = draw(n), draw(n)[::-1].copy()
+        np.testing.assert_allclose(dot(a, b), a @ b, rtol=1e-12, atol=1e-12)
+        for place in range(n):
+            one = np.where(np.arange(n) % 5 == 4, np.nan, -np.abs(a))
+            one[place] = 0.5
+            assert largest(one) == 0.5
+    assert largest(np.full(9, np.nan)) == largest(np.empty(0)) == -np.inf
