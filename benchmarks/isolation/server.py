@@ -102,12 +102,15 @@ def main() -> None:
 
 
 def _warm() -> None:
-    """What each process would otherwise do for itself: import the suite's own estimators, fill numba's tables."""
+    """What each process would otherwise do for itself: import the suite's own estimators, and pandas, as pyarrow does
+    with the first array; fill numba's tables."""
+    import pyarrow as pa
     from numba.core.registry import cpu_target
 
     from ...estimators.registry import estimators
 
     estimators()
+    pa.array([0])
     target: Any = cpu_target
     target.typing_context.refresh()
     target.target_context.refresh()
