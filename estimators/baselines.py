@@ -8,10 +8,11 @@ import numpy as np
 
 from ..scenarios.arrays import Array
 from ..scenarios.errors import Unsupported
-from ..scenarios.measurement import Interval, Measurement
+from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel, product
 from ..scenarios.randomness import RunRandom
-from .interface import Estimate, Estimator
+from .interface import Estimate, Estimator, Room, Walk
+from .kernels.walks import walk_held
 
 
 class Direct(Estimator):
@@ -42,9 +43,9 @@ class Direct(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         assert model.linear is not None
-        self._inverse: Array = np.linalg.inv(model.linear.C(0)).astype(float)
+        self._inverse: Array = np.ascontiguousarray(np.linalg.inv(model.linear.C(0)), dtype=float)
         self._mean = np.array(model.initial_mean, dtype=float)
-        self._held = product(model.linear.C(0), self._mean)
+        self._held, self._room = product(model.linear.C(0), self._mean), Room()
 
     def predict(self, u: Array, interval: Interval) -> None:
         """Nothing: the measurement is held."""
@@ -53,6 +54,13 @@ class Direct(Estimator):
         received = measurement.received
         self._held = np.where(received, measurement.y, self._held)
         self._mean = np.where(received.any(axis=0), product(self._inverse, self._held), self._mean)
+
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        if early or type(self) is not Direct:
+            return None
+        means, = self._room.of(len(course.y), mean=self._mean.shape)
+        walk_held(self._inverse, course.y, course.received, self._held, self._mean, means)
+        return Walk(means)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean)

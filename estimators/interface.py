@@ -74,14 +74,19 @@ class Innovation(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Estimates after each of B measurements: mean (B, nx, S), covariance (B, n, n, S), and of the innovations what
-    `Innovation` has, (B, ..) each. The arrays may be reused."""
+    """Estimates after (or before) each of B measurements: mean (B, nx, S), covariance (B, n, n, S), a bound that holds
+    for all (S or 1,), and of the innovations what `Innovation` has, (B, ..) each. The arrays may be reused."""
 
     mean: Array
-    covariance: Array
-    residual: Array | None = None
-    variance: Array | None = None
-    log_likelihood: Array | None = None
+    covariance: Array | None = None
+    innovation: Innovation = Innovation()
+    bound: Array | None = None
+
+    @property
+    def last(self) -> Estimate:
+        """The latest estimate."""
+        return Estimate(self.mean[-1], covariance=None if self.covariance is None else self.covariance[-1],
+                        bound=self.bound)
 
 
 class Room:
@@ -219,9 +224,9 @@ class Estimator(ABC):
 
         Returns the innovation where there is one; it is read at once, so its arrays may be reused."""
 
-    def walk(self, course: Course) -> Walk | None:
+    def walk(self, course: Course, early: bool) -> Walk | None:
         """The same as `predict` and `update` step by step, to the bit, by those that go a course in compiled code.
-        None, and nothing happens, by others."""
+        early: the estimates asked for are those before the measurements. None, and nothing happens, by others."""
         return None
 
     @abstractmethod

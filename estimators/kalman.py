@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from ..scenarios.arrays import Array
-from ..scenarios.compiled import Compiled
+from ..scenarios.compiled import Compiled, LinearSteps
 from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Innovation, Room, Status, Walk, flag
 from .kernels.core import congruence, extended_predict, predict
 from .kernels.kalman import kalman_update, shared_kalman_update
-from .kernels.walks import walk_kalman
+from .kernels.walks import walk_kalman, walk_linear
 
 SINGULAR_INNOVATION = "an innovation covariance was not positive definite"
 
@@ -87,15 +87,27 @@ class ExtendedKalman(Estimator):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
         return Innovation(self._residual, variance) if shared else self._innovation
 
-    def walk(self, course: Course) -> Walk | None:
-        whole = self.model.compiled
-        if whole is None or type(self) is not ExtendedKalman:
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        whole = self.model.over(course)
+        if type(self) not in (ExtendedKalman, Kalman) or whole is None:
             return None
-        out = self._room_for(course)
-        if walk_kalman(*whole[:6], whole.noise, np.full(self.runs, course.period), course.u, course.y, course.received,
-                       course.variance, self._mean, self._covariance, self._failed, *out):
+        seconds = np.full(self.runs, course.period)
+        if isinstance(whole, LinearSteps):
+            if course.variance is not None:
+                return None
+            out = self._room_for(course)
+            failed = walk_linear(whole.transition.address, whole.data, whole.F, whole.Q, whole.H, whole.R, seconds,
+                                 course.u, course.y, course.received, early, self._mean, self._covariance,
+                                 self._failed, *out)
+        elif early:
+            return None
+        else:
+            out = self._room_for(course)
+            failed = walk_kalman(*whole[:6], whole.noise, seconds, course.u, course.y, course.received, course.told,
+                                 self._mean, self._covariance, self._failed, *out)
+        if failed:
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return Walk(*out)
+        return Walk(out[0], out[1], Innovation(out[2], out[3]))
 
     def _room_for(self, course: Course) -> list[Array]:
         """The arrays of a `Walk`; from now on the runs' covariances differ."""

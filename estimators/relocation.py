@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from ..scenarios.arrays import Array
-from ..scenarios.compiled import call
+from ..scenarios.compiled import WholeSteps, call
 from ..scenarios.errors import Unsupported
 from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
@@ -75,13 +75,13 @@ class Relocation(Estimator):
             self._gone = np.where(got, 0.0, self._gone)
         return None
 
-    def walk(self, course: Course) -> Walk | None:
-        whole = self.model.compiled
-        if whole is None or type(self) is not Relocation:
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        whole = self.model.over(course)
+        if early or not isinstance(whole, WholeSteps) or type(self) is not Relocation:
             return None
         mean, covariance = self._room.of(len(course.y), mean=self._mean.shape, covariance=(1, 1, self.runs))
         _walk(whole.transition, whole.data, whole.noise, np.full(self.runs, course.period), course.u, course.y,
-              course.received, course.variance, np.array(self.rows), self.parameters.scale, self._mean, self._fixed,
+              course.received, course.told, np.array(self.rows), self.parameters.scale, self._mean, self._fixed,
               self._gone, mean, covariance)
         return Walk(mean, covariance)
 

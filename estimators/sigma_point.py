@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..scenarios.arrays import Array
-from ..scenarios.compiled import Compiled
+from ..scenarios.compiled import Compiled, WholeSteps
 from ..scenarios.errors import Infeasible
 from ..scenarios.measurement import Course, Interval, Measurement
 from ..scenarios.model import DesignModel
@@ -91,15 +91,16 @@ class SigmaPointKalman(Estimator):
                                  self._variance, self._failed))
         return self._innovation
 
-    def walk(self, course: Course) -> Walk | None:
-        whole = self.model.compiled
-        if whole is None or self._linear or not self.redraw or type(self) not in (UnscentedKalman, CubatureKalman):
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        whole = self.model.over(course)
+        if early or not isinstance(whole, WholeSteps) or self._linear or not self.redraw or type(self) not in (
+                UnscentedKalman, CubatureKalman):
             return None
         out = self._room.gaussian(len(course.y), self.model.nx, self.model.ny, self.runs)
         self._flag(walk_points(whole.transition, whole.measurement, whole.data, whole.Q, whole.noise,
                                np.full(self.runs, course.period), self._weights, self._scale, course.u, course.y,
-                               course.received, course.variance, self._mean, self._covariance, self._failed, *out))
-        return Walk(*out)
+                               course.received, course.told, self._mean, self._covariance, self._failed, *out))
+        return Walk(out[0], out[1], Innovation(out[2], out[3]))
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

@@ -85,6 +85,19 @@ class WholeSteps(NamedTuple):
     of: tuple[object, ...]
 
 
+class LinearSteps(NamedTuple):
+    """A linear design model over whole sampling periods that are all alike: x+ in machine code with its `data`, F, Q
+    (nx, nx, 1), H (ny, nx, 1), and R (ny, ny, 1) where sensors tell none. of: as above."""
+
+    transition: Compiled
+    data: Array
+    F: Array
+    Q: Array
+    H: Array
+    R: Array
+    of: tuple[object, ...]
+
+
 def _call(typingctx: Any, address: Any, x: Any, u: Any, seconds: Any, data: Any, points: Any, width: Any, stride: Any,
           out: Any) -> Any:
     """call(address, x, u, seconds, data, points, width, stride, out) with contiguous arrays, see `SIGNATURE`."""
@@ -113,6 +126,17 @@ call: Any = intrinsic(_call)
 def _run(address, u, seconds, data, x, out):  # pyright: ignore
     """The function at an address for all runs at once: x (nx, P, S)."""
     call(address, x, u, seconds, data, x.shape[1], x.shape[2], x.shape[2], out)
+
+
+@njit(cache=True)
+def accumulate(matrix, x, out):  # pyright: ignore
+    """out (m, S) += matrix (m, n) times x (n, S)."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            factor = matrix[i, j]
+            if factor != 0.0:
+                for s in range(x.shape[1]):
+                    out[i, s] += factor * x[j, s]
 
 
 def affine(x, u, seconds, data, points, width, stride, out):  # pyright: ignore

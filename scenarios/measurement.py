@@ -70,20 +70,22 @@ class Course(NamedTuple):
     """Whole sampling periods in a row, with one measurement at the end of each: B intervals and measurements at once,
     for estimators that go them in compiled code.
 
-    step: the first one leads to; period s. u (B, nu, S), y, received (B, ny, S); variance
-    (B, ny, S) that sensors tell of their elements, uncorrelated, NaN where they do not."""
+    step: the first one leads to; period s; times (B,) of the measurements, s. u (B, nu, S), y, received (B, ny, S);
+    variance (B, ny, S) that sensors tell of their elements, uncorrelated, NaN where they do not; None: nobody tells
+    any."""
 
     step: int
     period: float
+    times: Array
     u: Array
     y: Array
     received: Mask
-    variance: Array
+    variance: Array | None = None
 
     @property
-    def times(self) -> Array:
-        """Of the measurements, s, (B,)."""
-        return np.arange(self.step - 1, self.step - 1 + len(self.y), dtype=np.float64) * self.period + self.period
+    def told(self) -> Array:
+        """`variance`, or as many NaN."""
+        return np.full(self.y.shape, np.nan) if self.variance is None else self.variance
 
 
 def untold(step: int, ny: int) -> Measurement:

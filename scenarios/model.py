@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .arrays import Array, read_only
-from .compiled import Compiled, WholeSteps, affine
+from .compiled import Compiled, LinearSteps, WholeSteps, accumulate, affine
 from .densities import Densities
 from .errors import InputError, Unsupported
-from .machine_code import njit
-from .measurement import Interval, Measurement, told
+from .measurement import Course, Interval, Measurement, told
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ class DesignModel:
     measurement_covariance(measurement): (ny, ny, S or 1), PD: what the sensors tell, else the model's own (`told`).
     initial_mean (nx, S); initial_covariance (nx, nx, 1). performance: M (nz, nx) of z = M x.
     S is the number of runs of the arrays passed in, which need not be the batch's: adapters ask run by run.
-    whole: the same for whole sampling periods in machine code (`compiled`), where the setting gives that.
+    whole: the same for whole sampling periods in machine code (`over`), where the setting gives that.
     densities: noise that is not Gaussian, for particle filters; its moments are those of the covariances.
     appended: how many states stand behind the setting's own (`augmented`); those are not scored and steer nothing.
     linear_measurement: promises measurement(x, step) = H(step) x + constant, with one measurement_jacobian for every x,
@@ -173,7 +172,7 @@ class DesignModel:
     appended: int = 0
     linear_measurement: bool = False
     densities: Densities | None = None
-    whole: WholeSteps | None = None
+    whole: WholeSteps | LinearSteps | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError for functions of the first edition, which took a step and a portion of it."""
@@ -186,12 +185,12 @@ class DesignModel:
         for name in ("initial_mean", "initial_covariance"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    @property
-    def compiled(self) -> WholeSteps | None:
-        """`whole`, where it stands for the functions that this model has."""
+    def over(self, course: Course) -> WholeSteps | LinearSteps | None:
+        """`whole`, where it stands for the functions that this model has, and for the periods of a course."""
         own = (self.transition, self.transition_jacobian, self.measurement, self.measurement_jacobian,
                self.process_covariance, self.measurement_covariance)
-        return self.whole if self.whole is not None and self.whole.of == own else None
+        whole = self.whole
+        return whole if whole is not None and whole.of == own and course.period == self.period else None
 
     @property
     def nx(self) -> int:
@@ -247,20 +246,28 @@ def linear_model(
         whole_steps(interval, "this linear design model")
         return packed(interval.depart) if always is None else always, np.empty(runs)
 
+    transition = Compiled(affine, linear.B(0).shape[1], given)
+    functions = (transition, lambda x, u, interval: linear.A(interval.depart)[:, :, None],
+                 lambda x, step: product(linear.C(step), x), lambda x, step: linear.C(step)[:, :, None],
+                 lambda x, u, interval: linear.Q(interval.depart)[:, :, None],
+                 told(lambda step: linear.R(step)[:, :, None]))
+    F, Q, H, R = (np.array(matrix[:, :, None], dtype=float, order="C") for matrix in (
+        linear.A(0), linear.Q(0), linear.C(0), linear.R(0)))
     return DesignModel(
         states=states,
         measurements=measurements,
         period=period,
-        transition=Compiled(affine, linear.B(0).shape[1], given),
-        measurement=lambda x, step: product(linear.C(step), x),
-        transition_jacobian=lambda x, u, interval: linear.A(interval.depart)[:, :, None],
-        measurement_jacobian=lambda x, step: linear.C(step)[:, :, None],
-        process_covariance=lambda x, u, interval: linear.Q(interval.depart)[:, :, None],
-        measurement_covariance=told(lambda step: linear.R(step)[:, :, None]),
+        transition=functions[0],
+        transition_jacobian=functions[1],
+        measurement=functions[2],
+        measurement_jacobian=functions[3],
+        process_covariance=functions[4],
+        measurement_covariance=functions[5],
         initial_mean=initial_mean,
         initial_covariance=initial_covariance,
         linear=linear,
         linear_measurement=True,
+        whole=None if always is None else LinearSteps(transition, always, F, Q, H, R, functions),
         **parts,  # pyright: ignore[reportArgumentType]
     )
 
@@ -292,17 +299,6 @@ def product(matrix: Array, x: Array) -> Array:
     if x.ndim != 2:
         columns = math.prod(x.shape[1:])
         points, sums = x.reshape(len(x), columns), out.reshape(len(out), columns)
-    _accumulate(read_only(np.ascontiguousarray(matrix, dtype=float)),
-                read_only(np.ascontiguousarray(points, dtype=float)), sums)
+    accumulate(read_only(np.ascontiguousarray(matrix, dtype=float)),
+               read_only(np.ascontiguousarray(points, dtype=float)), sums)
     return out
-
-
-@njit(cache=True)
-def _accumulate(matrix, x, out):
-    """out (m, S) += matrix (m, n) times x (n, S)."""
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[1]):
-            factor = matrix[i, j]
-            if factor != 0.0:
-                for s in range(x.shape[1]):
-                    out[i, s] += factor * x[j, s]

@@ -78,6 +78,7 @@ class Straight(NamedTuple):
     truth: Array
     active: Mask
     scored: Mask | None
+    window: NDArray[np.int16] | None
     reference: Array | None
     last: Step
 
@@ -225,6 +226,35 @@ class Trajectory:
         return Step(self.u[k], (event,) if self.inside is None else _parted(event, self.inside[0], self.inside[1][k]),
                     self.truth[k], self.active[k], None, window, k + (lengths[0] > 0), starts[k],
                     lengths[k], None if self.reference is None else self.reference[k])
+
+    @cached_property
+    def _ends(self) -> Index:
+        """Steps before which something changes: the period, or which runs are under way (K,), the world's end last."""
+        turns = (self.active[1:] != self.active[:-1]).any(axis=1) | (self.lengths[1:] != self.lengths[:-1])
+        return np.append(np.flatnonzero(turns) + 1, self.steps)
+
+    @cached_property
+    def _heard(self) -> Mask | None:
+        """What arrives of runs under way (K, ny, S); None where not every step has all of it at its end."""
+        if self.closed_loop or any(part is not None for part in (self.covariance, self.late, self.faulty, self.inside)):
+            return None
+        whole = all(part.flags.c_contiguous and part.dtype == np.float64 for part in (self.u, self.y))
+        heard = self.received if self.active.all() else read_only(self.received & self.active[:, None])
+        return heard if whole and heard.flags.c_contiguous else None
+
+    def straight(self, k: int, most: int) -> Straight | None:
+        """Steps of one length."""
+        starts, lengths = self._clock
+        heard, period = self._heard, lengths[k]
+        if heard is None or not period or not self.active[k].any():
+            return None
+        end = min(k + most, int(self._ends[np.searchsorted(self._ends, k, side="right")]))
+        part = slice(k, end)
+        course = Course(k + (lengths[0] > 0), period, np.array(starts[part]) + period, self.u[part], self.y[part],
+                        heard[part], None if self.variance is None else self.variance[part])
+        return Straight(course, self.truth[part], self.active[part], None,
+                        None if self.window is None else self.window[part],
+                        None if self.reference is None else self.reference[part], self.step(end - 1, self.truth[-1]))
 
     def _diagonal(self, k: int) -> Array | None:
         if self.variance is None:

@@ -102,7 +102,7 @@ class _Scoring(Observer):
             taken = stretch.walk(k, straight, walk, done)
             if not taken:
                 self.flush()
-                stretch.renew(Estimate(walk.mean[-1], covariance=walk.covariance[-1]), straight.last)
+                stretch.renew(walk.last, straight.last)
             if stretch.full:
                 self.flush()
             done += taken

@@ -25,7 +25,8 @@ new = tuple.__new__
 class Observer:
     """What is looked at on the way, outside the estimator's time. Arrays handed in may be reused by the next call.
 
-    walks: whole stretches may come at once, in `walked`, where only estimates after a step's measurement are asked for.
+    walks: whole stretches may come at once, in `walked`, where only estimates after the measurements are asked for, or
+    only those before.
     every: `predicted` and `updated` come for each event, not for the last of a step alone; innovations: `measured` is
     called. Nothing that is not asked for is computed."""
 
@@ -67,13 +68,14 @@ class Loop:
     def steps(self) -> Iterator[Step]:
         """All steps of the world, until no run is under way any more; of those walked at once the last alone."""
         k, straight = 0, getattr(self.world, "straight", None)
-        walks = (self.observer.walks and self.observer.updated_wanted and straight is not None
-                 and self.estimator.lag == 0 and not self.estimator.oracle and self.own in (None, self.mean.shape[0]))
+        early, late = self.observer.predicted_wanted, self.observer.updated_wanted
+        walks = (self.observer.walks and early != late and straight is not None and self.estimator.lag == 0
+                 and not self.estimator.oracle and self.own in (None, self.mean.shape[0]))
         while k < self.world.steps:
             ahead = straight(k, STRETCH) if walks and straight else None
             if ahead is not None:
                 begun = perf_counter()
-                walk = self.estimator.walk(ahead.course)
+                walk = self.estimator.walk(ahead.course, early)
                 self.seconds += perf_counter() - begun
                 walks = walk is not None
                 if walk is not None:

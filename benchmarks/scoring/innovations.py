@@ -35,7 +35,7 @@ class InnovationScore:
         """The same of steps from k on that were walked at once: active (B, S), received (B, ny, S)."""
         first, end = max(self.skip - k, 0), k + len(received)
         if first < len(received):
-            parts = [None if part is None else part[first:] for part in walk[2:]]
+            parts = [None if part is None else part[first:] for part in walk.innovation]
             self._take(slice(k + first, end), received[first:], active[first:], *parts)
 
     def _take(self, steps: slice, received: Mask, active: Mask, residual: Array | None, variance: Array | None,

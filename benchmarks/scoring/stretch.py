@@ -98,8 +98,7 @@ class Stretch:
     def walk(self, k: int, straight: Straight, walk: Walk, done: int) -> int:
         """Keep steps that were walked at once, of which `done` are kept already: how many there is room for. None, and
         nothing happens, where they have arrays of other shapes than those before them."""
-        form = [(walk.mean.shape[1:], walk.mean.dtype), (walk.covariance.shape[1:], walk.covariance.dtype), *[None] * 4]
-        if tuple(form) != self.form or _around(straight.last) != self.around or self.covariance is None:
+        if _form(walk.last) != self.form or _around(straight.last) != self.around:
             return 0
         b, own, count = self.count, walk.mean.shape[1], min(len(straight.truth) - done, self.room - self.count)
         this, part = slice(b, b + count), slice(done, done + count)
@@ -115,7 +114,12 @@ class Stretch:
             self.scored[this] = straight.scored[part]
         if self.reference is not None and straight.reference is not None:
             self.reference[this] = straight.reference[part]
-        self.covariance.take(this, vector, truth, gaps, walk.covariance[part])
+        if self.window is not None and straight.window is not None:
+            self.window[this] = straight.window[part]
+        if self.covariance is not None and walk.covariance is not None:
+            self.covariance.take(this, vector, truth, gaps, walk.covariance[part])
+        if self.bound is not None:
+            self.bound[this] = walk.bound
         return count
 
     def from_place(self, k: int) -> slice:

@@ -174,7 +174,12 @@ def kalman_update(mean, covariance, y, predicted, received, h, r, residual, vari
 def shared_kalman_update(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
     """`kalman_update` where every run received the same elements: covariance (nx, nx, 1) and h (ny, nx, 1) are shared,
     r (ny, ny, 1) is diagonal, and the gains and variance (ny, 1) are computed once for all runs. Bit-identical to
-    `kalman_update` on each run."""
+    `kalman_update` on each run, so nothing is touched where nothing was received."""
+    some = False
+    for j in range(received.shape[0]):
+        some |= received[j, 0]
+    if not some:
+        return 0
     n, ny, runs, one = mean.shape[0], y.shape[0], mean.shape[1], covariance.shape[2]
     noise, gain, lost = np.empty((ny, 1)), np.empty((ny, n, 1)), np.zeros(1, np.bool_)
     work = np.empty((n + 3, runs))

@@ -6,10 +6,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...scenarios.compiled import call
-from .core import extended_predict, kernel
+from ...scenarios.compiled import accumulate, call
+from .core import apply, extended_predict, inner, kernel, predict
 from .kalman import kalman_update
 from .unscented import linearised, sigma_points, unscented_predict
+
+
+@inner
+def copy2(source, out):
+    """out (n, S) := source."""
+    for i in range(source.shape[0]):
+        row, to = source[i], out[i]
+        for s in range(row.shape[0]):
+            to[s] = row[s]
+
+
+@inner
+def copy3(source, out):
+    """out (n, m, S) := source."""
+    for i in range(source.shape[0]):
+        copy2(source[i], out[i])
+
+
+@inner
+def times(matrix, x, out):
+    """out (m, S) := matrix (m, n) times x (n, S), as `model.product`."""
+    for i in range(out.shape[0]):
+        for s in range(out.shape[1]):
+            out[i, s] = 0.0
+    accumulate(matrix, x, out)
 
 
 @kernel
@@ -44,8 +69,73 @@ def walk_kalman(f, F, measurement, jacobian, data, q, noise, seconds, u, y, rece
         observe(measurement, jacobian, data, mean, nothing, predicted, h)
         noises(variance[b], noise, 0, r)
         bad += kalman_update(mean, covariance, y[b], predicted, received[b], h, r, residuals[b], variances[b], failed)
-        means[b], covariances[b] = mean, covariance
+        copy2(mean, means[b])
+        copy3(covariance, covariances[b])
     return bad
+
+
+@kernel
+def walk_linear(f, data, F, q, H, r, seconds, u, y, received, early, mean, covariance, failed, means, covariances,
+                residuals, variances):
+    """The Kalman filter of a linear model, `LinearSteps`: see `walk_kalman`. early: means, covariances are those before
+    the measurements."""
+    predicted = np.empty((y.shape[1], y.shape[2]))
+    bad = 0
+    for b in range(y.shape[0]):
+        predict(f, u[b], seconds, data, F, q, mean, covariance)
+        if early:
+            copy2(mean, means[b])
+            copy3(covariance, covariances[b])
+        times(H.reshape(H.shape[0], H.shape[1]), mean, predicted)
+        bad += kalman_update(mean, covariance, y[b], predicted, received[b], H, r, residuals[b], variances[b], failed)
+        if not early:
+            copy2(mean, means[b])
+            copy3(covariance, covariances[b])
+    return bad
+
+
+@kernel
+def walk_gain(A, B, h, C, gain, u, y, received, early, mean, means):
+    """A constant gain (nx, ny, 1): mean (nx, S) in place, means (B, nx, S) come out. A, B, C (.., 1), h (nx, 1)."""
+    (nx, runs), ny = mean.shape, y.shape[1]
+    moved, driven, left = np.empty((nx, runs)), np.empty((nx, runs)), np.empty((ny, runs))
+    for b in range(y.shape[0]):
+        apply(A, mean, moved)
+        apply(B, u[b], driven)
+        for i in range(nx):
+            for s in range(runs):
+                mean[i, s] = (moved[i, s] + driven[i, s]) + h[i, 0]
+        if early:
+            copy2(mean, means[b])
+        apply(C, mean, left)
+        for j in range(ny):
+            for s in range(runs):
+                left[j, s] = y[b, j, s] - left[j, s] if received[b, j, s] else 0.0
+        apply(gain, left, moved)
+        for i in range(nx):
+            for s in range(runs):
+                mean[i, s] += moved[i, s]
+        if not early:
+            copy2(mean, means[b])
+
+
+@kernel
+def walk_held(inverse, y, received, held, mean, means):
+    """The last measurements received, held (ny, S), as states, mean (nx, S): both in place, means (B, nx, S) out."""
+    found = np.empty(mean.shape)
+    for b in range(y.shape[0]):
+        for j in range(y.shape[1]):
+            for s in range(y.shape[2]):
+                held[j, s] = y[b, j, s] if received[b, j, s] else held[j, s]
+        times(inverse, held, found)
+        for s in range(y.shape[2]):
+            some = False
+            for j in range(y.shape[1]):
+                some |= received[b, j, s]
+            if some:
+                for i in range(mean.shape[0]):
+                    mean[i, s] = found[i, s]
+        copy2(mean, means[b])
 
 
 @kernel
@@ -66,5 +156,6 @@ def walk_points(f, measurement, data, q, noise, seconds, weights, scale, u, y, r
         bad += linearised(off, images, weights, covariance, r, predicted, h, told, failed)
         bad += kalman_update(mean, covariance, y[b], predicted, received[b], h, told, residuals[b], variances[b],
                              failed)
-        means[b], covariances[b] = mean, covariance
+        copy2(mean, means[b])
+        copy3(covariance, covariances[b])
     return bad

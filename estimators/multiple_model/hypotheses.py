@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
 from ...scenarios.arrays import Array, read_only
+from ...scenarios.compiled import WholeSteps
 from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Course, Interval, Measurement
 from ...scenarios.model import DesignModel
@@ -135,25 +136,27 @@ class InteractingModels(Estimator):
             flag(self, self.lost, Status.failed, IMPOSSIBLE)
         return Innovation(log_likelihood=loglik)
 
-    def walk(self, course: Course) -> Walk | None:
-        each, whole, gate = [mode.model.compiled for mode in self.modes], self.model.compiled, self._closed
-        if whole is None or type(self) is not InteractingModels or any(
-                one is None or one.of[:-1] != whole.of[:-1] for one in each):
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        found, whole, gate = [mode.model.over(course) for mode in self.modes], self.model.over(course), self._closed
+        if early or not isinstance(whole, WholeSteps) or type(self) is not InteractingModels:
             return None
-        noise, ny = np.array([one.noise for one in each if one is not None]), self.model.ny
+        each = [one for one in found if isinstance(one, WholeSteps) and one.of[:-1] == whole.of[:-1]]
+        if len(each) < len(found):
+            return None
+        noise, ny = np.array([one.noise for one in each]), self.model.ny
         judged, since = (np.zeros(ny, dtype=bool), np.zeros((ny, self.runs))) if gate is None else (
             gate.is_judged, gate.since)
         bank, runs, nx = self.bank, self.runs, self.model.nx
         mean, covariance, likelihood = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs),
                                                      likelihood=(runs,))
         if walk_modes(*whole[:6], noise, np.full(self.m * runs, course.period), self.power(np.asarray(1.0)), course.u,
-                      course.y, course.received, course.variance, bank._mean, bank._covariance, self.weight,
+                      course.y, course.received, course.told, bank._mean, bank._covariance, self.weight,
                       bank._failed, self.lost, course.times, whole.noise, self._limit, judged, since,
                       self.parameters.after - 1e-9, mean, covariance, likelihood):
             flag(bank, bank._failed, Status.failed, SINGULAR_INNOVATION)
         if self.lost.any():
             flag(self, self.lost, Status.failed, IMPOSSIBLE)
-        return Walk(mean, covariance, log_likelihood=likelihood)
+        return Walk(mean, covariance, Innovation(log_likelihood=likelihood))
 
     def estimate(self) -> Estimate:
         moments(self.weight, self.bank._mean, self.bank._covariance, self._mean, self._covariance)

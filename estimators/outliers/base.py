@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...scenarios.arrays import Array, Mask
+from ...scenarios.compiled import WholeSteps
 from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Course, Measurement, untold
 from ...scenarios.model import DesignModel
@@ -142,16 +143,16 @@ class ElementwiseKalman(Elementwise, ExtendedKalman):
         """How readings are judged, where `walk` knows that."""
         return None
 
-    def walk(self, course: Course) -> Walk | None:
-        whole, how = self.model.compiled, self.judgement()
-        if whole is None or how is None:
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        whole, how = self.model.over(course), self.judgement()
+        if early or not isinstance(whole, WholeSteps) or how is None:
             return None
         out = self._room_for(course)
         seconds = np.full(self.runs, course.period)
-        if walk_elements(*whole[:6], whole.noise, seconds, course.u, course.y, course.received, course.variance,
+        if walk_elements(*whole[:6], whole.noise, seconds, course.u, course.y, course.received, course.told,
                          course.times, *how, self._mean, self._covariance, self._failed, *out):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return Walk(*out)
+        return Walk(out[0], out[1], Innovation(out[2], out[3]))
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)

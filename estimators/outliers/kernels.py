@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ..kernels.core import extended_predict, kernel
-from ..kernels.walks import noises, observe
+from ..kernels.walks import copy2, copy3, noises, observe
 
 
 @kernel
@@ -178,5 +178,6 @@ def walk_elements(f, F, measurement, jacobian, data, q, noise, seconds, u, y, re
             bad += correct(mean, covariance, h[j], product, residual, total, used, weight, got, failed)
             for s in range(runs):
                 spread[s] = told[s]
-        means[b], covariances[b] = mean, covariance
+        copy2(mean, means[b])
+        copy3(covariance, covariances[b])
     return bad

@@ -16,12 +16,13 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Infeasible, InputError, Unsupported
-from ...scenarios.measurement import Interval, Measurement
+from ...scenarios.measurement import Course, Interval, Measurement
 from ...scenarios.model import DesignModel, whole_steps
 from ...scenarios.randomness import RunRandom
 from ..design_cache import remember
-from ..interface import Estimate, Estimator, Parameters, used_with
+from ..interface import Estimate, Estimator, Parameters, Room, Walk, used_with
 from ..kernels.core import apply
+from ..kernels.walks import walk_gain
 from . import decay as lmi_decay
 from . import lmi, solving
 from .gains import read_gain
@@ -100,7 +101,7 @@ class ConstantGain(Estimator):
         self._h = linear.h(0)[:, None]
         self._mean = np.array(model.initial_mean, dtype=float, order="C")
         self._moved, self._driven = np.empty_like(self._mean), np.empty_like(self._mean)
-        self._expected = np.empty((self._C.shape[0], runs))
+        self._expected, self._room = np.empty((self._C.shape[0], runs)), Room()
         self._bound = None if self.bound is None else np.array([self.bound])
 
     def predict(self, u: Array, interval: Interval) -> None:
@@ -116,6 +117,15 @@ class ConstantGain(Estimator):
                                  where=measurement.received)
         apply(self._correction, innovation, self._moved)
         self._mean += self._moved
+
+    def walk(self, course: Course, early: bool) -> Walk | None:
+        own = (ConstantGain.predict, ConstantGain.update, ConstantGain.estimate)
+        if (type(self).predict, type(self).update, type(self).estimate) != own:
+            return None
+        means, = self._room.of(len(course.y), mean=self._mean.shape)
+        walk_gain(self._A, self._B, self._h, self._C, self._correction, course.u, course.y, course.received, early,
+                  self._mean, means)
+        return Walk(means, bound=self._bound)
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean, bound=self._bound)

@@ -118,9 +118,9 @@ class OdometryWorld:
             return None
         end = min(k + most, int(self._ends[np.searchsorted(self._ends, k, side="right")]))
         part = slice(k, end)
-        course = Course(k + 1, self.period, self.u[part], self.y[part], self._heard[part],
-                        self.variance[part])
-        return Straight(course, self.truth[part], self.active[part], self.scored[part], self.reference[part],
+        times = np.arange(k, end, dtype=np.float64) * self.period + self.period
+        course = Course(k + 1, self.period, times, self.u[part], self.y[part], self._heard[part], self.variance[part])
+        return Straight(course, self.truth[part], self.active[part], self.scored[part], None, self.reference[part],
                         self.step(end - 1, self.truth[end - 1]))
 
     def step(self, k: int, mean: Array) -> Step:

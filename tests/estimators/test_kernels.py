@@ -171,10 +171,11 @@ def test_no_variance_is_negative_or_wrong(noise: float, ny: int) -> None:
         np.testing.assert_allclose(p[:, :, run].diagonal(), exact_variances(h[:, :, run], noise, 1e6), rtol=1e-10)
 
 
-def test_shared_update_has_the_bits_of_the_other() -> None:
+@pytest.mark.parametrize("there", [[True, False, True], [False, False, False]])
+def test_shared_update_has_the_bits_of_the_other(there: list[bool]) -> None:
     n, ny = 4, 3
     x, one, y, h = draw(n, RUNS), positive(n, 1), draw(ny, RUNS), draw(ny, n, 1)
-    received = np.repeat([[True], [False], [True]], RUNS, axis=1)
+    received = np.repeat(np.array(there)[:, None], RUNS, axis=1)
     y[1], r, failed = np.nan, np.diag([0.5, 1.0, 2.0])[:, :, None].copy(), np.zeros(RUNS, dtype=bool)
     guess, other, p = each(np.matmul, h, x), x.copy(), np.repeat(one, RUNS, axis=2)
     residual, variance, left, spread = np.zeros((4, ny, RUNS))

@@ -11,6 +11,7 @@ from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.running.drive import drive, prepare
 from railstate.benchmarks.running.execute import FirstSteps
 from railstate.benchmarks.running.loop import Loop, Observer
+from railstate.estimators.interface import Estimate, Innovation
 from railstate.estimators.kalman import ExtendedKalman
 from railstate.estimators.outliers.gate import GatedKalman
 from railstate.estimators.outliers.heavy_tails import RothStudent
@@ -26,63 +27,86 @@ RUNS, STEPS = 3, 900
 
 
 class Seen(Observer):
-    """Keeps what is told of each step: mean, covariance, and of the innovations what was received."""
+    """Keeps what is told of each step, by its number and name: what is claimed, and innovations of what was received.
+    early: of the estimates before the measurements."""
 
-    def __init__(self, walks: bool) -> None:
-        self.walks, self.at_once = walks, 0
-        self.rows: dict[int, list[np.ndarray]] = {}
+    def __init__(self, walks: bool, early: bool) -> None:
+        self.walks, self.predicted_wanted, self.updated_wanted, self.at_once = walks, early, not early, 0
+        self.rows: dict[tuple[int, str], np.ndarray] = {}
 
     def updated(self, step: Any, event: int, estimate: Any) -> None:
-        self.rows.setdefault(step.number, []).extend([estimate.mean.copy(), estimate.covariance.copy()])
+        self._keep(step.number, estimate)
+
+    predicted = updated
 
     def measured(self, step: Any, measurement: Any, innovation: Any) -> None:
         if measurement.event == len(step.events) - 1:
-            self.rows.setdefault(step.number, []).extend(self._told(measurement.received, innovation))
+            self._told(step.number, measurement.received, innovation)
 
     def walked(self, k: int, straight: Any, walk: Any) -> None:
-        received = straight.course.received
-        self.at_once += len(received)
-        for b in range(len(received)):
-            innovation = [None if part is None else part[b] for part in walk[2:]]
-            told = self._told(received[b], innovation) if any(part is not None for part in innovation) else []
-            self.rows[straight.course.step + b] = [*told, walk.mean[b].copy(), walk.covariance[b].copy()]
+        self.at_once += len(straight.truth)
+        for b, received in enumerate(straight.course.received):
+            self._told(straight.course.step + b, received, Innovation(*(
+                None if part is None else part[b] for part in walk.innovation)))
+            self._keep(straight.course.step + b, Estimate(walk.mean[b], covariance=None if walk.covariance is None else
+                                                          walk.covariance[b], bound=walk.bound))
 
-    @staticmethod
-    def _told(received: Any, innovation: Any) -> list[np.ndarray]:
-        residual, variance, said = innovation
-        if residual is None:
-            return [np.where(received.any(axis=0), said, 0.0)]
-        return [np.where(received, residual, 0.0), np.where(received, variance, 0.0)]
+    def _keep(self, number: int, estimate: Estimate) -> None:
+        for name in ("mean", "covariance", "bound"):
+            value = getattr(estimate, name)
+            if value is not None:
+                self.rows[number, name] = np.broadcast_to(value, (*value.shape[:-1], RUNS)).copy()
+
+    def _told(self, number: int, received: Any, innovation: Any) -> None:
+        for name in ("residual", "variance"):
+            value = getattr(innovation, name)
+            if value is not None:
+                self.rows[number, name] = np.where(received, value, 0.0)
+        if innovation.log_likelihood is not None:
+            self.rows[number, "said"] = np.where(received.any(axis=0), innovation.log_likelihood, 0.0)
 
 
-def seen(name: str, label: str, walks: bool) -> tuple[Seen, Any]:
+def seen(name: str, label: str, walks: bool, steps: int = STEPS, early: bool = False) -> tuple[Seen, Any]:
     """What an observer sees of an entry in a setting's first steps."""
     cell = make_plan([name], only=[label], runs=RUNS).cells[0]
     setting, entry = cell.setting(), cell.entries[label]
     streams = Streams(4, cell.scenario, cell.variant, range(RUNS))
-    world = FirstSteps(setting.world(streams), STEPS)
+    world = FirstSteps(setting.world(streams), steps)
     estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
                                world.initial_mean)
     estimator.design(model)
     estimator.start(model, RUNS, streams("estimator", label))
-    observer = Seen(walks)
+    observer = Seen(walks, early)
     for _ in Loop(world, estimator, observer, own=model.own).steps():
         pass
     return observer, estimator
+
+
+def compare(walked: Seen, one: Any, stepped: Seen, other: Any) -> None:
+    """All that was seen of the one and the other, and how they end: to the bit."""
+    assert stepped.at_once == 0 and sorted(walked.rows) == sorted(stepped.rows)
+    for (number, name), theirs in stepped.rows.items():
+        np.testing.assert_array_equal(walked.rows[number, name], theirs, err_msg=f"{name} of step {number}")
+    np.testing.assert_array_equal(one.estimate().mean, other.estimate().mean)
+    np.testing.assert_array_equal(one.status, other.status)
 
 
 @pytest.mark.parametrize("label", WALKERS)
 @pytest.mark.parametrize("variant", ["wet-radar", "gnss-only"])
 def test_a_walk_is_its_steps(variant: str, label: str) -> None:
     (walked, one), (stepped, other) = (seen(f"odometry/{variant}", label, walks) for walks in (True, False))
-    assert STEPS - 50 < walked.at_once < STEPS and stepped.at_once == 0
-    assert sorted(walked.rows) == sorted(stepped.rows) == list(range(1, STEPS + 1))
-    for number, rows in stepped.rows.items():
-        assert len(rows) == len(walked.rows[number])
-        for mine, theirs in zip(walked.rows[number], rows, strict=True):
-            np.testing.assert_array_equal(mine, theirs, err_msg=f"step {number}")
-    np.testing.assert_array_equal(one.estimate().mean, other.estimate().mean)
-    np.testing.assert_array_equal(one.status, other.status)
+    assert STEPS - 50 < walked.at_once < STEPS
+    compare(walked, one, stepped, other)
+
+
+@pytest.mark.parametrize("early", [True, False])
+@pytest.mark.parametrize("label", ["direct", "kalman", "ultimate-bound-published"])
+def test_a_walk_of_a_linear_model_is_its_steps(label: str, early: bool) -> None:
+    """Whoever hears nothing among others stays to the bit as he is."""
+    (walked, one), (stepped, other) = (seen("cbtc-csma/three-trains", label, walks, 100, early)
+                                       for walks in (True, False))
+    assert walked.at_once == (0 if early and label == "direct" else 99)
+    compare(walked, one, stepped, other)
 
 
 @pytest.mark.parametrize("label", ["dr-minmax", "imm-slip"])
@@ -118,10 +142,12 @@ def test_who_cannot_walk_goes_step_by_step() -> None:
         def update(self, measurement: Any) -> None:
             """Hears nothing."""
 
-    course = Course(1, 0.1, *np.zeros((2, 1, 11, 1)), np.zeros((1, 3, 1), dtype=bool), np.ones((1, 3, 1)))
+    course = Course(1, 0.1, np.array([0.1]), *np.zeros((2, 1, 11, 1)), np.zeros((1, 3, 1), dtype=bool),
+                    np.ones((1, 3, 1)))
     for estimator in (Own({}), GatedKalman({"reopen": "median"}), RothStudent({}), ExtendedKalman({})):
         estimator.start(model, 1, RunRandom(1, ("a", "b", "c"), range(1)))
-        walk = estimator.walk(course._replace(y=np.zeros((1, 3, 1))))
+        walk = estimator.walk(course._replace(y=np.zeros((1, 3, 1))), False)
         assert (walk is None) == (type(estimator) is not ExtendedKalman)
     changed = dataclasses.replace(model, measurement_covariance=lambda measurement: np.eye(3)[:, :, None])
-    assert model.compiled is not None and changed.compiled is None
+    assert model.over(course) is not None and changed.over(course) is None
+    assert model.over(course._replace(period=0.2)) is None
