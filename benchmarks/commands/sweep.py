@@ -116,7 +116,7 @@ def sweep(
         store = complete(plan, folder / label.replace("/", "_"), how, command, timing=False)
         rows = store.rows()
         summary, designed = verdicts_of(store), _design_seconds(plan)
-        summary = pd.concat([summary, designed], ignore_index=True) if len(designed) else summary
+        summary = pd.concat([summary, designed]) if len(designed) else summary
         for key, item in reversed(point.items()):
             summary.insert(0, key, pd.Series(_plain(item), summary.index, dtype=object))  # 1 beside 2.5 stays 1
         summaries.append(summary)
