@@ -121,6 +121,7 @@ def test_the_interval_of_the_rmse_covers(sample: Sample, n: int, least: float) -
     assert found >= least
 
 
+@pytest.mark.long
 def test_equal_estimators_that_each_lose_a_twentieth_are_not_accused() -> None:
     rng, studies, hits = np.random.default_rng(3), 600, 0
     for study in range(studies):

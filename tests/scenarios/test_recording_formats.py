@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -129,7 +130,7 @@ def test_mcap_with_json_and_with_ros_2(tmp_path):
         assert np.array_equal(found.measured["position"][::5], true.s_m[::5])
         assert np.isnan(found.measured["position"]).sum() == len(true) - len(true[::5])
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "json.mcap").read_bytes()[:200])
-    assert "not an MCAP log that can be read" in refused(tmp_path / "cut.mcap")
+    assert re.search(r"cut\.mcap: not an MCAP log that can be read: \w+: \w+", refused(tmp_path / "cut.mcap"))
 
 
 def test_rosbag2(tmp_path):
