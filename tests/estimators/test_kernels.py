@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from railstate.estimators.kernels import core as kernels
 from railstate.estimators.kernels import particles
 from railstate.estimators.kernels.kalman import in_turn, kalman_update, shared_kalman_update
+from railstate.estimators.kernels.riccati import covariance_update
 from railstate.scenarios.model import product
 from scipy.stats import multivariate_normal, norm
 
@@ -136,10 +137,12 @@ def test_kalman_update_is_the_conditional_gaussian(shared_h: bool, noise: str) -
 
     expected = each(textbook, x, p, y, h, received, np.broadcast_to(r, (ny, ny, RUNS)))
     failed, residual, variance = np.zeros(RUNS, dtype=bool), np.full((ny, RUNS), np.nan), np.full((ny, RUNS), np.nan)
-    seen = np.where(received, y, np.nan)
+    seen, alone = np.where(received, y, np.nan), p.copy()
+    covariance_update(alone, received, h, r, failed)
     assert kalman_update(x, p, seen, guess, received, h, r, residual, variance, failed) == 0
     np.testing.assert_allclose(x, expected[:, 0], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(p, expected[:, 1:-1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(alone, p)
     logs = np.where(received, norm(0.0, np.sqrt(np.where(received, variance, 1.0))).logpdf(residual), 0.0)
     np.testing.assert_allclose(logs.sum(axis=0), expected[0, -1], rtol=1e-10, atol=1e-10)
 
@@ -191,9 +194,11 @@ def test_a_negative_innovation_variance_is_a_failure_where_it_is_received() -> N
     x, failed = np.zeros((2, 3)), np.zeros(3, dtype=bool)
     received = np.array([[True, True, False], [False, False, False]])
     h, r = np.eye(2)[:, :, None].copy(), 0.5 * np.eye(2)[:, :, None]
-    told = np.zeros((2, 2, 3))
+    told, alone, lost = np.zeros((2, 2, 3)), p.copy(), failed.copy()
     assert kalman_update(x, p, np.ones((2, 3)), x.copy(), received, h, r, *told, failed) == 1
-    assert failed.tolist() == [False, True, False]
+    covariance_update(alone, received, h, r, lost)
+    np.testing.assert_array_equal(alone, p)
+    assert failed.tolist() == lost.tolist() == [False, True, False]
     np.testing.assert_allclose(x[:, 0], [2 / 3, 0.0])
     assert np.isnan(x[:, 1]).all() and np.isnan(p[:, :, 1]).all()
     np.testing.assert_array_equal(x[:, 2], 0.0)
