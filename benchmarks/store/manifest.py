@@ -36,7 +36,7 @@ Text = Annotated[str, Field(max_length=20_000)]
 class _Part(BaseModel):
     """A table of the manifest. Keys that it does not name are kept as they are and decide nothing."""
 
-    model_config = ConfigDict(extra="allow", allow_inf_nan=False, protected_namespaces=())
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
 class EstimatorKey(_Part):

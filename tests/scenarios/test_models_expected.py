@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from railstate.benchmarks.api.listing import scenario_lines
+from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, Measurement, untold
@@ -95,6 +96,15 @@ def answers(model: DesignModel, step: Step) -> Iterator[str]:
             yield f"inclusion {[digest(end) for end in (*between, *model.inclusion.observe(*between, one))]}"
 
 
+def refused(model: DesignModel) -> Iterator[str]:
+    """Whom a model does not suit, and why."""
+    for label, cls in estimators().items():
+        try:
+            cls.require(model)
+        except Unsupported as reason:
+            yield f"{label}: {reason}"
+
+
 def told(model: DesignModel, step: Step) -> list[str]:
     lines = [*content("", model), *answers(model, step)]
     if model.modes is not None:
@@ -117,11 +127,13 @@ def test_what_every_estimator_is_told(expected: Callable[[str, str], None]) -> N
                      for label, entry in setting.config.estimators.items()}
             out += [f"{name}/{variant}", *(f"  quantity {found.name} {found.unit}" for found in setting.quantities())]
             for label, entry in asked.values():
+                who = list[str]()
                 try:
-                    lines = told(setting.told(entry.knowledge, entry.augment, world.initial_mean), step)
+                    model = setting.told(entry.knowledge, entry.augment, world.initial_mean)
+                    lines, who = told(model, step), list(refused(model))
                 except (InputError, Unsupported) as error:
                     lines = [str(error)]
-                more = [line for line in dict.fromkeys(lines) if line not in seen]
+                more = [line for line in dict.fromkeys([*lines, *who]) if line not in seen]
                 out += [f"  {label}: {len(lines)}", *(f"    {line}" for line in more)]
                 seen.update(more)
     expected("models", "\n".join(out))

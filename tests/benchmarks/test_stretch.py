@@ -1,0 +1,76 @@
+"""Steps kept at once beside the same kept one by one: every array, whatever a step has besides, over full stretches."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from railstate.benchmarks.scoring.stretch import Stretch
+from railstate.estimators.interface import Estimate, Walk
+from railstate.scenarios.measurement import Course
+from railstate.scenarios.world import Step, Straight
+
+B, S = 5, 3
+PARTS = ("vector", "truth", "places", "gaps", "active", "length", "scored", "window", "reference", "bound")
+
+
+def walked(parts: tuple[bool, ...], truths: int = 4) -> tuple[Straight, Walk, list[tuple[Estimate, Step]]]:
+    """A walk of two states beside a truth of more, and its steps."""
+    rng = np.random.default_rng(3)
+    scored, window, reference, claimed, bound, known = parts
+    truth, active = rng.normal(size=(B, truths, S)), rng.random((B, S)) < 0.7
+    if not known:
+        truth[1, 0, 2] = truth[3, 2, 0] = np.nan
+    made: dict[str, Any] = {"scored": rng.random((B, truths, S)) < 0.5 if scored else None,
+                            "window": rng.integers(-1, 3, (B, S)).astype(np.int16) if window else None,
+                            "reference": rng.normal(size=(B, 2, S)) if reference else None}
+    steps = [Step(np.zeros((0, S)), (), truth[b], active[b], number=b + 7, length=0.25, **{
+        name: None if value is None else value[b] for name, value in made.items()}) for b in range(B)]
+    root = rng.normal(size=(B, 2, 3, S))
+    walk = Walk(rng.normal(size=(B, 2, S)), np.einsum("biks,bjks->bijs", root, root) if claimed else None,
+                bound=np.array([2.5]) if bound else None)
+    course = Course(7, 0.25, np.arange(B) * 0.25, *np.zeros((2, B, 0, S)), np.zeros((B, 0, S), dtype=bool))
+    single = [Estimate(walk.mean[b], covariance=None if walk.covariance is None else walk.covariance[b],
+                       bound=walk.bound) for b in range(B)]
+    return Straight(course, truth, active, last=steps[-1], **made), walk, list(zip(single, steps, strict=True))
+
+
+def kept(stretch: Stretch) -> dict[str, Any]:
+    found = {name: getattr(stretch, name) for name in PARTS}
+    if stretch.covariance is not None:
+        found |= {name: getattr(stretch.covariance, name) for name in ("diagonal", "form", "failed")}
+    return {name: None if value is None else value[:stretch.count].copy() for name, value in found.items()}
+
+
+@pytest.mark.parametrize("parts", list(itertools.product([False, True], repeat=6)))
+def test_steps_at_once_are_kept_as_one_by_one(parts: tuple[bool, ...]) -> None:
+    straight, walk, steps = walked(parts)
+    one, other = Stretch(S, 2), Stretch(S, 2)
+    one.renew(*steps[0])
+    other.renew(walk.last, straight.last)
+    assert one.room == other.room
+    one.room = other.room = 4
+    assert one.take(39, *steps[2]) and one.take(40, *steps[0]) and one.take(41, *steps[1]) and one.take(42, *steps[2])
+    assert other.take(39, *steps[2]) and other.walk(40, straight, walk, 0) == 3
+    assert one.full and other.full
+    for late in (False, True):
+        for name, value in kept(one).items():
+            np.testing.assert_array_equal(kept(other)[name], value, err_msg=name)
+        one.count = other.count = 0
+        assert late or (one.take(43, *steps[3]) and one.take(44, *steps[4]) and other.walk(40, straight, walk, 3) == 2)
+
+
+def test_other_shapes_are_not_kept() -> None:
+    """The estimate's, or what a step has besides; single steps neither."""
+    straight, walk, steps = walked((False,) * 6)
+    stretch = Stretch(S, 2)
+    stretch.renew(*steps[0])
+    for parts, truths in (*(((*(i == j for j in range(5)), True), 4) for i in range(5)), ((False,) * 6, 3)):
+        far, wide, others = walked(parts, truths)
+        assert stretch.walk(1, far, wide, 0) == 0 and not stretch.take(1, *others[0]) and stretch.count == 0
+    whole = replace(steps[0][0], mean=walk.mean[0].astype(np.float32))
+    assert not stretch.take(1, whole, steps[0][1])
+    assert stretch.walk(1, straight, walk, 0) == B
