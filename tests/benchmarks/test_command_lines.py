@@ -75,6 +75,15 @@ table A --format tex --out no/where.tex : table A --format html --out t.html : t
 reproduce --runs 1 : reproduce nobody : new estimator 3x : new estimator kalman : new estimator numpy --in new
 new estimator mine --in none : new scenario cart : new estimator mine --in new : new estimator mine --in new
 new recording --in new : new scenario rap-example-1 : nonsense
+design cart.toml/calm --losses 0.5 --plot no/where.svg : design cart.toml/calm --trade-off 0.9 --plot no/where.svg
+design cart.toml/calm -e certified --out gain.csv/x : new line --in none : new line --in new : new line --in new
+compare kalman held --scenario cart.toml/calm -n 1 -j 1 --out K1 : show ckf --out two : timing --repeats 0
+timing --processes 0 : timing --only nothing
+tune cart.toml/calm --estimator ukf --over parameters.alpha=0.5..1 --objective rmse
+tune cart.toml/calm --estimator ukf --over parameters.alpha=0.5..1 --objective rmse:position --budget 2
+tune cart.toml/calm --estimator ukf --over parameters.alpha=0.5..1 --objective nees:state
+tune cart.toml/calm --estimator ukf --over parameters.alpha=0.5..1 --objective mae:speed,log-likelihood:innovation
+report A --published gain.csv : design cart.toml/calm --trade-off 0.5,2
 """
 """Separated by ` : ` and ends of lines."""
 

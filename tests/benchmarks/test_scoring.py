@@ -180,12 +180,12 @@ def test_lane_sum(length: int) -> None:
 
 def test_median_and_share_inside() -> None:
     """Of chi-square forms: the share exactly, the median to less than a bin of its histogram, zeros, infinities."""
-    forms = np.random.default_rng(3).chisquare(2, (4001, 6))
+    forms, middle, limit = np.random.default_rng(3).chisquare(2, (4001, 6)), chi2(2).ppf(0.5), chi2(2).ppf(0.95)
     inside, histogram = np.zeros(6), np.zeros((6, BINS), dtype=np.int32)
     for form in forms:
-        add_spread(form, np.ones(6), chi2(2).ppf(0.5), chi2(2).ppf(0.95), inside, histogram)
-    np.testing.assert_array_equal(inside, (forms <= chi2(2).ppf(0.95)).sum(axis=0))
-    np.testing.assert_allclose(histogram_medians(histogram), np.median(forms, axis=0) / chi2(2).ppf(0.5), rtol=0.03)
+        add_spread(form, np.ones(6), middle, limit, inside, histogram)
+    np.testing.assert_array_equal(inside, (forms <= limit).sum(axis=0))
+    np.testing.assert_allclose(histogram_medians(histogram), np.median(forms, axis=0) / middle, rtol=0.03)
     inside, histogram = np.zeros(6), np.zeros((6, BINS), dtype=np.int32)
     add_spread(np.array([0.0, 1e-300, 1e300, np.inf, np.nan, 1.0]), np.array([1.0] * 5 + [0.0]), 1.0, 2.0, inside,
                histogram)
