@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -86,20 +90,41 @@ def test_a_peer_that_is_not_installed_is_one_message(railstate: Command, monkeyp
 
 
 def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is measured of whole commands is what they are; one that fails is no time."""
-    monkeypatch.setattr(start, "QUICK", (("--version",),))
-    monkeypatch.setattr(start, "SETTINGS", ())
-    monkeypatch.setattr(start, "RUNS", 4)
+    """Whole commands, each in a process of its own; one that fails is no time."""
+    assert start._taken(("--version",)) > 0
+    with pytest.raises(RuntimeError, match=r"railstate --nothing: (.|\n)*No such option"):
+        start._taken(("--nothing",))
+    given = []
+
+    def ran(program: list[str], cwd: str | None, env: dict[str, str], **_: Any) -> Any:
+        assert program[:2] == [sys.executable, "-c"] and env.keys() >= os.environ.keys()
+        fresh = {key: value for key, value in env.items() if os.environ.get(key) != value}
+        given.append((program[3:], cwd, fresh))
+        return SimpleNamespace(returncode=0)
+
     monkeypatch.setattr(start, "perf_counter", Clock())
+    monkeypatch.setattr(subprocess, "run", ran)
     monkeypatch.setenv("COLUMNS", "120")
-    lines = railstate("timing", "--only", "start", "--repeats", 1).out.splitlines()
-    found = [line.split() for line in lines if line.startswith("railstate")]
-    assert [" ".join(words[1:-1]) for words in found] == ["--version", *(
-        f"run ningbo-metro/switching --estimators ekf --runs 4 --jobs {jobs}" for jobs in (1, 2))]
-    assert [words[-1] for words in found] == ["0.00", "0.01", "0.01"]
-    monkeypatch.setattr(start, "QUICK", (("--nothing",),))
-    with pytest.raises(RuntimeError, match="No such option"):
-        start.seconds(1)
+    said = railstate("timing", "--only", "start", "--repeats", 2).out
+    monkeypatch.undo()
+    found = [line.rsplit(maxsplit=1) for line in said.splitlines() if line.startswith("railstate")]
+    many = "railstate run ningbo-metro/switching --estimators ekf --runs 100000 --jobs"
+    assert [" ".join(line.split()) for line, _ in found] == [
+        "railstate --version", "railstate --help", "railstate list", *(
+            f"railstate run {name} {what}" for name in ("rap-example-1", "ningbo-metro/switching")
+            for what in ("nothing compiled", "again")), f"{many} 1", f"{many} 2"]
+    assert [float(taken) for _, taken in found] == sorted(float(taken) for _, taken in found)
+    assert [" ".join(line) for line, *_ in given] == [
+        *("--version", "--version", "--help", "--help", "list", "list"), *(
+            f"run {name} --out {what}" for name in ("rap-example-1", "ningbo-metro/switching")
+            for what in ("nothing-compiled", "again")), *(
+            f"run ningbo-metro/switching --estimators ekf --runs {more}" for more in (
+                "20 --out compiled", "100000 --jobs 1 --out jobs-1", "100000 --jobs 2 --out jobs-2"))]
+    rooms = [room for _, room, _ in given]
+    assert rooms[:6] == [None] * 6 and rooms[6] == rooms[7] != rooms[8] == rooms[9] != rooms[10]
+    assert len(set(rooms[10:])) == 1 and all(fresh == ({
+        "NUMBA_CACHE_DIR": f"{room}/code", "RAILSTATE_CACHE": f"{room}/designs"} if 6 <= place < 10 else {})
+        for place, (_, room, fresh) in enumerate(given))
 
 
 @pytest.mark.long
