@@ -17,6 +17,7 @@ from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import untold
 from ...scenarios.model import DesignModel
 from .trial import CLAIMS, DoesNotApply, Record, Rule, Trial, difference, feed
+from .walking import walks
 
 ALIKE = 1e-9
 """How far a claimed matrix may be from symmetric and semi-definite, relative to its largest element."""
@@ -341,4 +342,7 @@ RULES = (
          "Unsupported",
          "take transition(x, u, interval), draw with which=interval.moving(self.runs), or call whole_steps(interval)",
          _parts),
+    Rule("walks",
+         "walk says of many periods what predict and update say of them one by one, to the bit",
+         "call in walk the same functions in the same order; return None for a course it does not know", walks),
 )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...estimators.interface import Estimate, Estimator, Innovation
-from ...scenarios.arrays import Array
+from ...scenarios.arrays import Array, Mask
 from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import Streams
@@ -92,11 +92,7 @@ class _Recorder(Observer):
         self.innovations: dict[str, Innovation] = {}
 
     def measured(self, step: Step, measurement: Measurement, innovation: Innovation) -> None:
-        got, (residual, variance, said) = measurement.received, innovation
-        self.innovations[f"after the measurement of event {self.event}"] = Innovation(
-            None if residual is None else np.where(got, residual, np.nan),
-            None if variance is None else np.where(got, variance, np.nan),
-            None if said is None else np.where(got.any(axis=0), said, np.nan))
+        self.innovations[f"after the measurement of event {self.event}"] = told(measurement.received, innovation)
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
         self.estimates.append(_copied(estimate))
@@ -113,17 +109,32 @@ def feed(cls: type[Estimator], case: Case, tape: Tape, *, instance: Estimator | 
     """What an estimator says of a tape. skip: it is not called where no run has anything to do. Raises what it raises,
     Infeasible too."""
     with np.errstate(all="ignore"):
-        estimator = cls(case.parameters) if instance is None else instance
-        model = model or case.model(tape.initial_mean)
-        cls.require(model)
-        estimator.design(model)
-        streams = Streams(case.streams.seed, case.streams.scenario, case.streams.variant, tape.runs)
-        estimator.start(model, len(tape.runs), streams("estimator", "checked"))
+        estimator = begun(cls, case, tape, instance, model)
         recorder = _Recorder(estimator.estimate())
         for _ in Loop(tape, estimator, recorder, idle=not skip).steps():
             pass
     return Record(recorder.estimates, recorder.when, np.array(estimator.status), dict(estimator.reasons),
                   recorder.innovations)
+
+
+def begun(cls: type[Estimator], case: Case, tape: Tape, instance: Estimator | None = None,
+          model: DesignModel | None = None) -> Estimator:
+    """A started estimator. Raises what it raises."""
+    estimator = cls(case.parameters) if instance is None else instance
+    model = model or case.model(tape.initial_mean)
+    cls.require(model)
+    estimator.design(model)
+    streams = Streams(case.streams.seed, case.streams.scenario, case.streams.variant, tape.runs)
+    estimator.start(model, len(tape.runs), streams("estimator", "checked"))
+    return estimator
+
+
+def told(received: Mask, innovation: Innovation) -> Innovation:
+    """What an innovation says of the elements received, NaN elsewhere."""
+    residual, variance, said = innovation
+    return Innovation(None if residual is None else np.where(received, residual, np.nan),
+                      None if variance is None else np.where(received, variance, np.nan),
+                      None if said is None else np.where(received.any(axis=0), said, np.nan))
 
 
 def raised(error: BaseException) -> str:

@@ -70,11 +70,11 @@ class CoupledCars(Setting[CoupledCarsConfig]):
         simulate(plant.A, plant.B, plant.E, plant.h, force, self.config.plant.mass, c0, c1, c2, disturbance.ramp,
                  disturbance.ramp_length, phase, truth)
         y = streams("measurement").normal(steps, 2 * n)
-        clean = truth * np.repeat([sensors.position_weight, sensors.speed_weight], n)[:, None]
-        for rows, weight, noise in ((slice(0, n), sensors.position_weight, sensors.position_noise),
-                                    (slice(n, None), sensors.speed_weight, sensors.speed_noise)):
-            y[:, rows] *= noise
-            y[:, rows] += weight * truth[:, rows]
+        weight, noise = (np.repeat(pair, n)[:, None] for pair in (
+            (sensors.position_weight, sensors.speed_weight), (sensors.position_noise, sensors.speed_noise)))
+        for reading, state in zip(y, truth, strict=True):  # step by step they stay in the cache
+            reading *= noise
+            reading += weight * state
         trajectory = Trajectory(
             truth=truth,
             u=np.repeat(force[:, :, None], runs, axis=2),
@@ -84,7 +84,8 @@ class CoupledCars(Setting[CoupledCarsConfig]):
             lengths=np.concatenate([[0.0], np.full(steps - 1, self.config.time.period)]),
             initial_mean=self._believed(streams),
         )
-        heard = observe(trajectory, streams, self.sensing(), self._channel(), self.config.faults, clean)
+        heard = observe(trajectory, streams, self.sensing(), self._channel(), self.config.faults,
+                        weight * truth if self.config.faults else None)
         return replace(heard, extra={"received": heard.received.any(axis=1).astype(float)})
 
     def sensing(self) -> Sensing:
