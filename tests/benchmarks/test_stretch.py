@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from railstate.benchmarks.scoring.stretch import Stretch
+from railstate.benchmarks.scoring.stretch import Claims, Stretch
 from railstate.estimators.interface import Estimate, Walk
 from railstate.scenarios.measurement import Course
 from railstate.scenarios.world import Step, Straight
@@ -74,3 +74,26 @@ def test_other_shapes_are_not_kept() -> None:
     whole = replace(steps[0][0], mean=walk.mean[0].astype(np.float32))
     assert not stretch.take(1, whole, steps[0][1])
     assert stretch.walk(1, straight, walk, 0) == B
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("states", [1, 2, 3])
+@pytest.mark.parametrize("runs", [1, 2, 3])
+def test_claims_beside_numpy(runs: int, states: int, shared: bool) -> None:
+    """Matrices of three elements beside a truth of fewer or as many; unknown truth; an indefinite and a lost matrix."""
+    rng, room, width = np.random.default_rng(5), 4, 1 if shared else runs
+    root, vector = rng.normal(size=(room, 3, 4, width)), rng.normal(size=(room, 3, runs))
+    matrices = np.einsum("biks,bjks->bijs", root, root)
+    matrices[2, :, :, -1], matrices[3, 0, 0, 0] = -np.eye(3), np.nan
+    truth = rng.normal(size=(room, states, runs))
+    truth[1, 0, -1] = np.nan
+    claims = Claims(room, matrices[0], states, runs)
+    claims.take(slice(0, room), vector, truth, np.isnan(truth).any(axis=(1, 2)), matrices)
+    np.testing.assert_array_equal(claims.diagonal, np.broadcast_to(np.einsum("biis->bis", matrices), (room, 3, runs)))
+    for b, s in itertools.product(range(room), range(runs)):
+        matrix = matrices[b, :states, :states, min(s, width - 1)]
+        error = np.nan_to_num(vector[b, :states, s] - truth[b, :, s])
+        bad = not np.isfinite(matrix).all() or (np.linalg.eigvalsh(matrix) < 0).any()
+        assert claims.failed[b, s] == bad
+        if not bad:
+            assert claims.form[b, s] == pytest.approx(error @ np.linalg.inv(matrix) @ error, rel=1e-9)
