@@ -96,6 +96,26 @@ class Tests:
                 for line, numbers in lines.items():
                     if (place := now.get(int(line))) is not None:
                         mine.setdefault(place, set()).update(number + before for number in set(numbers) - gone)
+        self._beside(sources)
+
+    def _beside(self, sources: dict[str, str]) -> None:
+        """Which words stand in each test and in what it calls of its file, and tests of which nothing is written down,
+        with what their files import."""
+        known = {name.partition("[")[0] for name in self.names}
+        self.words: dict[str, set[str]] = {}
+        self.unknown: dict[str, str] = {}
+        for path, text in sources.items():
+            imports = " ".join(re.findall(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", text, re.MULTILINE))
+            functions = {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
+            words = {name: {getattr(part, "attr", getattr(part, "id", "")) for part in ast.walk(node)}
+                     for name, node in functions.items()}
+            for name in filter(re.compile("test_").match, functions):
+                own = words[name]
+                for _ in range(3):
+                    own = own.union(*(words[word] for word in own if word in words))
+                self.words[f"{path}::{name}"] = own
+                if f"{path}::{name}" not in known and "long" not in own:
+                    self.unknown[f"{path}::{name}"] = imports
 
     def of(self, fault: Fault, most: float) -> list[str]:
         """Those that reach a fault: its statement, the users of what it makes, its module, its package. Quick ones
@@ -104,6 +124,9 @@ class Tests:
         found = self._statement(fault) or self._within(fault.path) or set().union(
             *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
         seconds = {self.names[number]: self.seconds[number] for number in found}
+        folder, stem = fault.path.removesuffix(".py").replace("/", ".").rpartition(".")[::2]
+        module = re.compile(rf"railstate\.{folder}(\.{stem} import| import .*\b{stem}\b)")
+        seconds |= {name: 1.0 for name, imports in self.unknown.items() if module.search(imports)}
         ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, name != LOADING, seconds[name]))
         rest = [name for name in ordered if name not in self.whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
@@ -142,8 +165,10 @@ class Tests:
         return self._loading() | self._users(names) | self._within(fault.path)
 
     def _users(self, names: set[str]) -> set[int]:
-        """Tests of the lines of functions that name something, or what in compiled code calls it."""
+        """Tests that name something, and of the lines of functions that do, or of what in compiled code calls it."""
         found = set[int]()
+        named = {number for number, name in enumerate(self.names)
+                 if self.words.get(name.partition("[")[0], set()) & names}
         for _ in range(4):
             word = re.compile(rf"\b({'|'.join(map(re.escape, names))})\b") if names else None
             if word is None:
@@ -161,7 +186,7 @@ class Tests:
             if found or more <= names:
                 break
             names = names | more
-        return found
+        return found | named
 
 
 def moved(old: str, new: str) -> dict[int, int]:

@@ -31,7 +31,7 @@ class HuberKalman(ElementwiseKalman):
 
     def weigh(self, reading: Reading) -> Weighed:
         size = np.sqrt(reading.ratio)
-        weight = np.where(size <= self.parameters.threshold, 1.0, self.parameters.threshold / np.maximum(size, 1e-300))
+        weight = np.minimum(1.0, self.parameters.threshold / np.maximum(size, 1e-300))
         return Weighed(reading.noise / weight, np.ones_like(weight), weight < 0.5)
 
 
