@@ -4,6 +4,7 @@ Arrays are put back into themselves, so that whatever shares their memory (views
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -27,11 +28,14 @@ class Memento:
         self._objects: list[tuple[dict[str, Any], dict[str, Any]]] = []
         self._generators: list[tuple[np.random.Generator, Any]] = []
         self._seen: dict[int, object] = {}
-        self._walk(thing)
+        left = [thing]  # not by recursion: chains of objects may be long
+        while left:
+            left += self._parts(left.pop())
 
-    def _walk(self, thing: Any) -> None:
+    def _parts(self, thing: Any) -> Iterable[Any]:
+        """What hangs on a thing, which is remembered."""
         if isinstance(thing, FIXED) or id(thing) in self._seen:
-            return
+            return ()
         self._seen[id(thing)] = thing
         if isinstance(thing, np.ndarray):
             self._arrays.append((thing, thing.copy()))
@@ -39,15 +43,13 @@ class Memento:
             self._generators.append((thing, thing.bit_generator.state))
         elif isinstance(thing, list | dict | set):
             self._lists.append((thing, thing.copy()))
-            for part in thing.values() if isinstance(thing, dict) else thing:
-                self._walk(part)
+            return thing.values() if isinstance(thing, dict) else thing
         elif isinstance(thing, tuple | frozenset):
-            for part in thing:
-                self._walk(part)
+            return thing
         elif hasattr(thing, "__dict__") and not callable(thing) and not type(thing).__module__.startswith("cvxpy"):
             self._objects.append((vars(thing), dict(vars(thing))))
-            for part in vars(thing).values():
-                self._walk(part)
+            return vars(thing).values()
+        return ()
 
     def restore(self) -> None:
         """Everything as it was."""
