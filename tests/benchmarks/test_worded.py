@@ -6,12 +6,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
+from railstate.benchmarks.commands.tune import _remarks
 from railstate.benchmarks.telling.estimators import record
+from railstate.benchmarks.telling.figures.data import assign_styles
+from railstate.benchmarks.telling.figures.swept import over_key
 from railstate.benchmarks.telling.markup import to_latex, to_markdown
 from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
 from railstate.benchmarks.telling.report import plots
@@ -168,6 +173,34 @@ def test_a_tally_of_a_column_and_the_shares_of_its_bar() -> None:
     assert _tally([*views, None]) == ("★= 2 ▼ 1 ◇ 1 ? 1 ▲ 2 ✕ 1", [
         ("best", 25.0), ("tie", 12.5), ("outline", 12.5), ("open", 12.5), ("w2", 25.0), ("lost", 12.5)])
     assert _tally([views[1], None, views[1]]) == ("▲ 2", [("w2", 100.0)]) and _tally([None]) == ("", [])
+
+
+def test_what_a_search_has_to_say() -> None:
+    fine, lost, over = {"loss": 1.0, "broken": 0.0}, {"loss": None, "broken": None}, {"loss": None, "over": True}
+    found = SimpleNamespace(found=SimpleNamespace(edge=["a", "b"]), kept=True, limit=1.25, evaluations=[
+        fine, lost, lost, over, {"loss": 1.0, "broken": 0.1}, {"loss": 2.0, "broken": None}, {"loss": 2.0}])
+    edges = [f"the optimum of {key} lies at a limit of the search: it may be better beyond" for key in "ab"]
+    assert _remarks(found) == [  # pyright: ignore[reportArgumentType]
+        *edges, "none is better than the untuned entry, which stays",
+        "1 evaluations took more than 1.25 s and were given up", "2 evaluations ended infeasible or with lost runs", "3 evaluations broke --subject-to", ""]
+    found.found.edge, found.kept, found.evaluations = [], False, [fine]
+    assert _remarks(found) == []  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(("key", "x"), [([1.0, 2.0], [1.0, 2.0]), ([0.0, 100.0], [0.0, 100.0]),
+                                        (["low", "high"], [0, 1])])
+def test_a_metric_over_a_swept_key(key: list[Any], x: list[float]) -> None:
+    """Marks where the numbers are, words side by side in the order of the sweep."""
+    part = pd.DataFrame([{**line(label, value, 0.001), "k": at} for label, values in (("a", (0.01, 0.02)), (
+        "b", (0.03, np.nan))) for at, value in zip(key, values, strict=True)])
+    canvas = over_key(part, "k", "RMSE [cm]", assign_styles([["b", "c", "a"]]))
+    root = ElementTree.fromstring(canvas.svg())
+    said = [node.text for node in root.iter() if node.tag.endswith("title")]
+    assert canvas.label == "RMSE [cm] over k" and [text for text in said if text and "=" in text] == [
+        f"b, k = {x[0]:g}: 3", *(f"a, k = {at:g}: {value}" for at, value in zip(x, (1, 2), strict=True))]
+    texts = [node.text for node in root.iter() if node.tag.endswith("text")]
+    assert {"RMSE [cm]", "k", "a", "b"} <= set(texts) and "c" not in texts
+    assert set(map(str, key)) <= set(texts) if isinstance(key[0], str) else "low" not in texts
 
 
 def test_what_tuning_gained_as_a_table() -> None:
