@@ -77,6 +77,9 @@ def of(module: ModuleType) -> Iterator[str]:
         if getattr(value, "__module__", "") != module.__name__ or name != getattr(value, "__name__", ""):
             continue
         if inspect.isclass(value) and issubclass(value, BaseModel):
+            usual = getattr(value.__base__, "model_config", {})
+            config = {key: said for key, said in value.model_config.items() if usual.get(key) != said}
+            yield from [f"  {name}: {config}"] if config else []
             yield from (f"  {name}.{line.strip()}" for line in fields(value))
         elif inspect.isclass(value):
             if is_dataclass(value):

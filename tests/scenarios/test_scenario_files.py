@@ -43,6 +43,8 @@ BAD = {
     "variant-unknown-table": (SCENARIO + "[variants.more.wheels]\nx = 1\n", "unknown key wheels"),
     "unknown-estimator": (SCENARIO.replace('plugin = "half"', 'plugin = "halve"'), 'no estimator "halve"'),
     "no-estimators": (SCENARIO.replace('[estimators.half]\nplugin = "half"\n', ""), "estimators: missing"),
+    "infinite": (SCENARIO.replace("period = 1.0", "period = inf"), "time.period"),
+    "no number": (SCENARIO.replace("period = 1.0", "period = nan"), "time.period"),
 }
 
 
