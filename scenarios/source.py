@@ -140,7 +140,7 @@ def _read(name: str, path: Path, changed: int) -> _Content:
     except (SyntaxError, ValueError, RecursionError):
         return _Content(hashlib.sha256(data).digest(), ())
     base = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    imports = dict.fromkeys(each for found in _imported(tree, base) for each in _with_parents(found))
+    imports = dict.fromkeys(each for found in _imported(tree.body, base) for each in _with_parents(found))
     words: list[str] = []
     _say(tree, words)
     return _Content(hashlib.sha256("\0".join(words).encode("utf-8", "backslashreplace")).digest(), tuple(imports))
@@ -169,12 +169,12 @@ def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
-def _imported(tree: ast.AST, base: str) -> Iterator[str]:
-    """Absolute names of what a tree imports, `from a import b` as a and a.b. base: the package of its module."""
-    for node in ast.iter_child_nodes(tree):
+def _imported(statements: Sequence[ast.AST], base: str) -> Iterator[str]:
+    """Absolute names of what statements import, and those inside them, `from a import b` as a and a.b. base: the
+    package of their module."""
+    for node in statements:
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
-            for other in node.orelse:
-                yield from _imported(ast.Module([other], []), base)
+            yield from _imported(node.orelse, base)
         elif isinstance(node, ast.Import):
             yield from (item.name for item in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -183,7 +183,8 @@ def _imported(tree: ast.AST, base: str) -> Iterator[str]:
             yield package
             yield from (f"{package}.{item.name}" for item in node.names)
         else:
-            yield from _imported(node, base)
+            inside = (getattr(node, part, None) for part in ("body", "orelse", "finalbody", "handlers", "cases"))
+            yield from (name for part in inside if isinstance(part, list) for name in _imported(part, base))
 
 
 def _with_parents(name: str) -> Iterator[str]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...estimators.kernels.core import factorise, forward, gather3, kernel, tile_width
+from ...estimators.kernels.core import factorise, forward, inner, kernel, tile_width
 from .kernels import lane_sum
 
 NO_ERROR = 1e-12
@@ -44,59 +44,71 @@ def score_sets(form, failed, diagonal, live, lost, index, weight, owner, share, 
 
 
 @kernel
-def quadratic_forms(vector, truth, matrix, live, out, lost):
-    """out[s] = e' M^-1 e, e = vector - truth in the first n elements, by Cholesky. Where M is singular: infinite if e
-    leaves the directions that M allows for, else NaN (nothing to be judged).
-
-    vector, truth (>= n, S), matrix (n, n, S or 1), out (S,), lost (S,): set where a run that live (S,) tells of has an
-    M that is indefinite or not finite."""
-    n, runs = matrix.shape[0], truth.shape[1]
-    shared = matrix.shape[2] == 1
+def quadratic_forms(vector, truth, matrix, states, diagonal, form, failed):
+    """Of steps b: diagonal (B, m, S) of the matrix M (B, m, m, S or 1), and form (B, S), e' M^-1 e by Cholesky, of its
+    leading `states`, e = vector - truth (B, >= states, S), 0 where the truth is unknown (NaN). Where M is singular:
+    infinite if e leaves the directions that M allows for, else NaN (nothing to be judged). failed (B, S): whether M is
+    indefinite or not finite."""
+    runs, n, shared = form.shape[1], states, matrix.shape[3] == 1
     width = runs if n * n * runs <= 8192 else tile_width(n, runs)
     tile, factor = np.empty((n, n, 1 if width == runs else width)), np.empty((n, n, width))
-    source = matrix if shared or width == runs else tile
-    inverse, error = np.empty((n, width)), np.empty((n, 1, width))
-    failed = np.zeros(width, dtype=np.bool_)
-    for first in range(0, runs, width):
-        count = min(width, runs - first)
-        if not shared or first == 0:
-            for s in range(count):
-                failed[s] = False
-            if not shared and width < runs:
-                gather3(matrix, np.arange(first, first + count), count, tile)
-            factorise(source, factor, inverse, failed, False, min(count, matrix.shape[2]))
-        for s in range(1, width if shared and first == 0 else 0):
-            failed[s] = failed[0]
+    inverse, error, bad = np.empty((n, width)), np.empty((n, 1, width)), np.empty(width, np.bool_)
+    for b in range(form.shape[0]):
+        whole = matrix[b]
+        for i in range(diagonal.shape[1]):
+            row, to = whole[i, i], diagonal[b, i]
+            for s in range(runs):
+                to[s] = row[0 if shared else s]
+        for first in range(0, runs, width):
+            count = min(width, runs - first)
+            if not shared or first == 0:
+                source, some = whole, 1 if shared else count
+                for s in range(count):
+                    bad[s] = False
+                if not shared and width < runs:
+                    source = tile
+                    for i in range(n):
+                        for j in range(i + 1):
+                            row, to = whole[i, j, first:first + some], tile[i, j]
+                            for s in range(some):
+                                to[s] = row[s]
+                factorise(source, factor, inverse, bad, False, some)
+                for i in range(n if shared else 0):
+                    for j in range(i):
+                        for s in range(1, width):
+                            factor[i, j, s] = factor[i, j, 0]
+                    for s in range(1, width):
+                        inverse[i, s] = inverse[i, 0]
+                for s in range(1, width if shared else 0):
+                    bad[s] = bad[0]
             for i in range(n):
-                inverse[i, s] = inverse[i, 0]
-                for j in range(n):
-                    factor[i, j, s] = factor[i, j, 0]
-        for i in range(n):
-            mine, theirs, row = vector[i, first:first + count], truth[i, first:first + count], error[i, 0]
+                mine, theirs, row = vector[b, i, first:first + count], truth[b, i, first:first + count], error[i, 0]
+                for s in range(count):
+                    there = theirs[s]
+                    row[s] = mine[s] - (there if there == there else mine[s])
+            forward(factor, inverse, error, count)
+            total = form[b, first:first + count]
             for s in range(count):
-                row[s] = mine[s] - theirs[s]
-        forward(factor, inverse, error, count)
-        total = out[first:first + count]
-        for s in range(count):
-            total[s] = 0.0
-            lost[first + s] |= failed[s] and live[first + s] > 0.0
-        for i in range(n):
-            row, scale = error[i, 0], inverse[i]
+                total[s] = 0.0
+                failed[b, first + s] = bad[s]
+            for i in range(n):
+                row, scale = error[i, 0], inverse[i]
+                for s in range(count):
+                    value = total[s] + row[s] * row[s]
+                    total[s] = value if scale[s] > 0.0 else np.nan
             for s in range(count):
-                value = total[s] + row[s] * row[s]
-                total[s] = value if scale[s] > 0.0 else np.nan
-        for s in range(count):
-            if total[s] != total[s] and not failed[s]:
-                total[s] = _singular_form(vector, truth, matrix, factor, inverse, error, first, s)
+                if total[s] != total[s] and not bad[s]:
+                    total[s] = _singular_form(vector[b], truth[b], whole, factor, inverse, error, first, s)
 
 
-@kernel
+@inner
 def _singular_form(vector, truth, matrix, factor, inverse, error, first, s):
     """Infinite where run first + s errs in a direction in which its M claims no uncertainty, else NaN; factor,
     inverse, error (n, 1, ..): as they stand after `forward`."""
-    for i in range(matrix.shape[0]):
+    for i in range(error.shape[0]):
         if inverse[i, s] == 0.0:
-            rest = vector[i, first + s] - truth[i, first + s]
+            there = truth[i, first + s]
+            rest = vector[i, first + s] - (there if there == there else vector[i, first + s])
             for k in range(i):
                 rest -= factor[i, k, s] * error[k, 0, s]
             if rest * rest > NO_ERROR * matrix[i, i, 0 if matrix.shape[2] == 1 else first + s]:
@@ -104,11 +116,11 @@ def _singular_form(vector, truth, matrix, factor, inverse, error, first, s):
     return np.nan
 
 
-@kernel
+@inner
 def add_forms(form, live, total, count, curve, curve_count):
     """total, count (S,) take up form (S,) where live and not NaN; curve[0] its sum over runs, curve_count[0] their
     number."""
-    value, ones = np.empty_like(live), np.empty_like(live)
+    value, ones = np.empty(live.shape[0]), np.empty(live.shape[0])
     for s in range(live.shape[0]):
         on = live[s] > 0.0 and form[s] == form[s]
         value[s] = form[s] if on else 0.0
@@ -119,7 +131,7 @@ def add_forms(form, live, total, count, curve, curve_count):
     curve_count[0] += lane_sum(ones)
 
 
-@kernel
+@inner
 def add_spread(form, live, middle, limit, inside, histogram):
     """Of live runs whose form (S,) is not NaN: inside (S,) counts the steps with form <= limit, histogram (S, BINS)
     form / middle, each octave in FINENESS equal parts; what is beyond either end, 0 and infinity too, is in the bin

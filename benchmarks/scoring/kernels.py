@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...estimators.kernels.core import kernel
+from ...estimators.kernels.core import inner, kernel
 
 LANES = 8
 
 
-@kernel
+@inner
 def lane_sum(values):
     """Sum of values (S,) in eight interleaved partial sums: as fast as memory, and of the same bits every time."""
-    lanes = np.zeros(LANES)
-    whole = values.shape[0] // LANES * LANES
+    lanes, total, whole = np.empty(LANES), 0.0, values.shape[0] // LANES * LANES
+    for lane in range(LANES):
+        lanes[lane] = 0.0
     for s in range(0, whole, LANES):
         for lane in range(LANES):
             lanes[lane] += values[s + lane]
-    total = lanes.sum()
+    for lane in range(LANES):
+        total += lanes[lane]
     for s in range(whole, values.shape[0]):
         total += values[s]
     return total
@@ -81,7 +83,7 @@ def score_bound(vector, truth, performance, bound, live, certified, performed, s
                 performed[s] += z[s] * z[s] if live[b, s] > 0.0 else 0.0
 
 
-@kernel
+@inner
 def add_errors(vector, truth, live, index, weight, owner, share, limit, step):
     """step[0..2, q] (3, nq, S) := this step's squared, absolute and signed error of each quantity; step[3, q] its
     largest component. live (S,) 1.0 or 0.0 becomes 0.0 where an error is not finite or above its limit.
@@ -110,7 +112,7 @@ def add_errors(vector, truth, live, index, weight, owner, share, limit, step):
             largest[s] = size if size > largest[s] else largest[s]
 
 
-@kernel
+@inner
 def add_partial(vector, truth, live, scored, index, weight, owner, share, step, left_out):
     """As `add_errors` for step[0], [1] and [3], but of the elements with scored (nt, S) alone; left_out (nq, S) adds
     up the share of a quantity's step that was missed so. step[2] (the signed error) is left alone."""
@@ -127,7 +129,7 @@ def add_partial(vector, truth, live, scored, index, weight, owner, share, step, 
             left_out[q, s] += 0.0 if scored[i, s] else f * live[s]
 
 
-@kernel
+@inner
 def accumulate(step, live, totals):
     """totals (3, nq, S) of squared, absolute and largest error take up the step's, where live."""
     for q in range(step.shape[1]):
@@ -141,11 +143,11 @@ def accumulate(step, live, totals):
             total[s] = size if size > total[s] else total[s]
 
 
-@kernel
+@inner
 def accumulate_curves(step, live, last, steps, curve):
     """curve (>= 4, nq) takes up the sums over runs of this step: squares, their squares, errors, and the number of runs
     in [3, 0]; last (nq, S) := the squared error, steps (S,) += 1."""
-    value, fourth = np.empty_like(live), np.empty_like(live)
+    value, fourth = np.empty(live.shape[0]), np.empty(live.shape[0])
     for q in range(step.shape[1]):
         for s in range(live.shape[0]):
             on = live[s] > 0.0

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...estimators.interface import Estimate, Walk, misshapen
-from ...estimators.kernels.core import kernel
 from ...scenarios.arrays import Array, Index, Mask
 from ...scenarios.world import Step, Straight
 from .forms import quadratic_forms
@@ -29,11 +28,10 @@ class Claims:
         self.diagonal, self.form = np.empty((room, len(matrix), runs)), np.empty((room, runs))
         self.failed = np.zeros((room, runs), dtype=bool)
 
-    def take(self, steps: slice, vector: Array, truth: Array, gaps: Mask, matrices: Array) -> None:
-        """Matrices (B, n, n, S or 1) of some steps; vector, truth, gaps of the same."""
-        whole, n = np.ascontiguousarray(matrices), self.states
-        part = whole if whole.shape[1] == n else np.ascontiguousarray(matrices[:, :n, :n])
-        _claim(vector, truth, gaps, whole, part, self.diagonal[steps], self.form[steps], self.failed[steps])
+    def take(self, steps: slice, vector: Array, truth: Array, matrices: Array) -> None:
+        """Matrices (B, n, n, S or 1) of some steps; vector, truth of the same."""
+        quadratic_forms(vector, truth, np.ascontiguousarray(matrices), self.states, self.diagonal[steps],
+                        self.form[steps], self.failed[steps])
 
 
 class Stretch:
@@ -77,8 +75,8 @@ class Stretch:
                 self.vector[b, self.estimated:] = step.truth[self.estimated:]
         self.count = b + 1
         this = slice(b, b + 1)
-        vector, truth, gaps = self.vector[this], self.truth[this], self.gaps[this]
-        gaps[0] = has_gaps(truth[0])
+        vector, truth = self.vector[this], self.truth[this]
+        self.gaps[b] = has_gaps(truth[0])
         self.places[b], self.active[b], self.length[b] = k, step.active, step.length
         if self.scored is not None:
             self.scored[b] = step.scored
@@ -88,7 +86,7 @@ class Stretch:
             self.window[b] = step.window
         for claims, matrix in ((self.covariance, estimate.covariance), (self.ellipsoid, estimate.ellipsoid)):
             if claims is not None and matrix is not None:
-                claims.take(this, vector, truth, gaps, matrix[None])
+                claims.take(this, vector, truth, matrix[None])
         if self.bound is not None:
             self.bound[b] = estimate.bound
         if self.diversity is not None:
@@ -103,11 +101,11 @@ class Stretch:
         b, own, count = self.count, walk.mean.shape[1], min(len(straight.truth) - done, self.room - self.count)
         this, part = slice(b, b + count), slice(done, done + count)
         self.count = b + count
-        vector, truth, gaps = self.vector[this], self.truth[this], self.gaps[this]
+        vector, truth = self.vector[this], self.truth[this]
         truth[:] = straight.truth[part]
         vector[:, :own] = walk.mean[part]
         vector[:, own:] = truth[:, own:]
-        gaps[:] = [has_gaps(one) for one in truth] if has_gaps(truth.reshape(count, -1)) else False
+        self.gaps[this] = [has_gaps(one) for one in truth] if has_gaps(truth.reshape(count, -1)) else False
         self.places[this], self.active[this] = np.arange(k + done, k + done + count), straight.active[part]
         self.length[this] = straight.last.length
         if self.scored is not None and straight.scored is not None:
@@ -117,7 +115,7 @@ class Stretch:
         if self.window is not None and straight.window is not None:
             self.window[this] = straight.window[part]
         if self.covariance is not None and walk.covariance is not None:
-            self.covariance.take(this, vector, truth, gaps, walk.covariance[part])
+            self.covariance.take(this, vector, truth, walk.covariance[part])
         if self.bound is not None:
             self.bound[this] = walk.bound
         return count
@@ -171,25 +169,3 @@ def everything(count: int) -> Mask:
 def _around(step: Step) -> tuple[object, ...]:
     """What a step has besides."""
     return step.truth.shape, step.scored is None, step.window is None, step.reference is None
-
-
-@kernel
-def _claim(vector, truth, gaps, whole, part, diagonal, form, failed):
-    """Of steps b: diagonal (B, m, S) of `whole` (B, m, m, S or 1), and of its leading `part` (B, n, n, S or 1) the form
-    of the error, which is none where the truth is unknown, and whether it failed."""
-    live = np.ones(form.shape[1])
-    for b in range(form.shape[0]):
-        for i in range(diagonal.shape[1]):
-            source, to = whole[b, i, i], diagonal[b, i]
-            for s in range(to.shape[0]):
-                to[s] = source[0 if source.shape[0] == 1 else s]
-        for s in range(live.shape[0]):
-            failed[b, s] = False
-        there = truth[b]
-        if gaps[b]:
-            there = truth[b].copy()
-            for i in range(part.shape[1]):
-                for s in range(live.shape[0]):
-                    if there[i, s] != there[i, s]:
-                        there[i, s] = vector[b, i, s]
-        quadratic_forms(vector[b], there, part[b], live, form[b], failed[b])

@@ -174,7 +174,7 @@ def _symmetric_half(t, f, q, out, width):
                 out[j, i, s] = out[i, j, s]
 
 
-@kernel
+@inner
 def _alike(f, width, one):
     """Whether f (n, n, >= width) is the same for all runs, and if so what, one (n, n, 1)."""
     for i in range(f.shape[0]):
@@ -260,13 +260,13 @@ def predict(transition, u, seconds, data, f, q, mean, covariance):
 
 @inner
 def factorise(matrix, factor, inverse, failed, definite, width):
-    """Lower Cholesky factor (n, n, >= width) of matrix, inverse (n, >= width) of its diagonal; failed (>= width,) is
-    set where it has none.
+    """Lower Cholesky factor (n, n, >= width) of the matrix's leading part, inverse (n, >= width) of its diagonal;
+    failed (>= width,) is set where it has none.
 
     Only the lower triangle of the matrix is read. definite: a pivot must be positive. Otherwise a pivot of zero (to
     rounding: SINGULAR, INDEFINITE) is a direction without uncertainty and gets a column of zeros. Failed runs get
     NaN, so that nothing computed from them can pass for a number."""
-    n = matrix.shape[0]
+    n = factor.shape[0]
     floor = 0.0 if definite else SMALLEST_PIVOT_RATIO
     slack = 0.0 if definite else INDEFINITE
     for j in range(n):

@@ -95,78 +95,107 @@ def _whiten(r, received, h, innovation, failed, width):
     return white, inverse
 
 
-@kernel
-def kalman_update(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
+CORRELATED = -1
+
+
+@inner
+def _update(kind, diagonal, tile, mean, covariance, y, predicted, received, h, r, residual, variance, failed):
+    """`kalman_update` of the runs of `kind`, whose noise is diagonal or not. tile: r, or room for a tile of it where
+    runs have their own; None: the noise of all is diagonal, and what else there is is not even compiled."""
+    n, ny, own, bad = mean.shape[0], y.shape[0], r.shape[2] > 1, 0
+    wide = tile_width(n, len(kind))
+    whole = wide == mean.shape[1]
+    noise = np.ones((ny, wide if own and diagonal else 1))
+    if diagonal and not own:
+        for j in range(ny):
+            noise[j, 0] = r[j, j, 0]
+    cubes = np.empty((ny if whole else n + ny, n, wide))
+    rows = np.empty((n + 3 + 2 * ny + (0 if whole else n + 2 * ny), wide))
+    gain, work, seen, guess = cubes[:ny], rows[:n + 3], rows[n + 3:n + 3 + ny], rows[n + 3 + ny:n + 3 + 2 * ny]
+    rest = rows[n + 3 + 2 * ny:]
+    p, x = covariance if whole else cubes[ny:], mean if whole else rest[:n]
+    innovation, spread = residual if whole else rest[n:n + ny], variance if whole else rest[n + ny:]
+    flags = np.empty((ny + 1, wide), np.bool_)
+    got, lost = flags[:ny], flags[ny]
+    jacobian = h if h.shape[2] == 1 else np.empty((ny, n, wide))
+    for first in range(0, len(kind), wide):
+        width = min(wide, len(kind) - first)
+        part = kind[first:first + width]
+        if not whole:
+            gather2(mean, part, width, x)
+            gather3(covariance, part, width, p)
+        gather2(y, part, width, seen)
+        gather2(predicted, part, width, guess)
+        gather2(received, part, width, got)
+        if h.shape[2] > 1:
+            gather3(h, part, width, jacobian)
+        for s in range(width):
+            lost[s] = False
+        innovate(seen, guess, got, innovation, width)
+        decompose(p, lost, work, width)
+        design, inverse = jacobian, noise
+        if tile is not None and not diagonal:
+            if own:
+                gather3(r, part, width, tile)
+            design, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
+        if own and diagonal:
+            for j in range(ny):
+                for s in range(width):
+                    noise[j, s] = r[j, j, part[s]]
+        sequential(p, design, noise, got, gain, spread, lost, work, width)
+        shift(x, innovation, design, gain, work, width)
+        if tile is not None and not diagonal:
+            for j in range(ny):
+                for s in range(width):
+                    innovation[j, s] /= inverse[j, s]
+                    spread[j, s] /= inverse[j, s] * inverse[j, s]
+        compose(p, work, width)
+        for s in range(width):
+            if lost[s]:
+                failed[part[s]] = True
+                bad += 1
+                _spoil(x, p, s)
+        if not whole:
+            scatter2(innovation, part, width, residual)
+            scatter2(spread, part, width, variance)
+            scatter2(x, part, width, mean)
+            scatter3(p, part, width, covariance)
+    return bad
+
+
+def kalman_update(*arguments):
     """Kalman update in place of the runs that received something. Returns how many runs failed here.
 
     mean (nx, S), covariance (nx, nx, S), y and predicted = h(mean) (ny, S), received (ny, S) bool, h (ny, nx, S or 1),
     r (ny, ny, S or 1), diagonal or not. Elements are used one after the other; correlated noise is decorrelated over
     the elements received. residual, variance (ny, S): the innovation of each element received, in turn. failed (S,) is
     set, and the run's numbers NaN, where the covariance is indefinite or an innovation variance is not positive."""
-    n, ny, own = mean.shape[0], y.shape[0], r.shape[2] > 1
-    index, bad = receivers(received), 0
+    bad = uncorrelated_update(*arguments)
+    return any_update(*arguments) if bad == CORRELATED else bad
+
+
+@kernel
+def uncorrelated_update(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
+    """`kalman_update`; or CORRELATED, and nothing happens, where the noise of a run that received something is."""
+    index = receivers(received)
+    if not len(index):
+        return 0
+    for k in range(len(index) if r.shape[2] > 1 else 1):
+        if not _diagonal(r, index[k] if r.shape[2] > 1 else 0):
+            return CORRELATED
+    return _update(index, True, None, mean, covariance, y, predicted, received, h, r, residual, variance, failed)
+
+
+@kernel
+def any_update(mean, covariance, y, predicted, received, h, r, residual, variance, failed):
+    """`kalman_update`, whatever the noise, in one piece."""
+    index, bad, ny = receivers(received), 0, y.shape[0]
+    tile = r if r.shape[2] == 1 else np.empty((ny, ny, tile_width(mean.shape[0], len(index))))
     for diagonal in (True, False):
         kind = _of_kind(index, r, diagonal)
-        if not len(kind):
-            continue
-        wide = tile_width(n, len(kind))
-        whole = wide == mean.shape[1]
-        noise = np.ones((ny, wide if own and diagonal else 1))
-        if diagonal and not own:
-            for j in range(ny):
-                noise[j, 0] = r[j, j, 0]
-        cubes = np.empty((ny if whole else n + ny, n, wide))
-        rows = np.empty((n + 3 + 2 * ny + (0 if whole else n + 2 * ny), wide))
-        gain, work, seen, guess = cubes[:ny], rows[:n + 3], rows[n + 3:n + 3 + ny], rows[n + 3 + ny:n + 3 + 2 * ny]
-        rest = rows[n + 3 + 2 * ny:]
-        p, x = covariance if whole else cubes[ny:], mean if whole else rest[:n]
-        innovation, spread = residual if whole else rest[n:n + ny], variance if whole else rest[n + ny:]
-        flags = np.empty((ny + 1, wide), np.bool_)
-        got, lost = flags[:ny], flags[ny]
-        jacobian = h if h.shape[2] == 1 else np.empty((ny, n, wide))
-        tile = r if not own or diagonal else np.empty((ny, ny, wide))
-        for first in range(0, len(kind), wide):
-            width = min(wide, len(kind) - first)
-            part = kind[first:first + width]
-            if not whole:
-                gather2(mean, part, width, x)
-                gather3(covariance, part, width, p)
-            gather2(y, part, width, seen)
-            gather2(predicted, part, width, guess)
-            gather2(received, part, width, got)
-            if h.shape[2] > 1:
-                gather3(h, part, width, jacobian)
-            for s in range(width):
-                lost[s] = False
-            innovate(seen, guess, got, innovation, width)
-            decompose(p, lost, work, width)
-            design, inverse = jacobian, noise
-            if not diagonal:
-                if own:
-                    gather3(r, part, width, tile)
-                design, inverse = _whiten(tile, got, jacobian, innovation, lost, width)
-            elif own:
-                for j in range(ny):
-                    for s in range(width):
-                        noise[j, s] = r[j, j, part[s]]
-            sequential(p, design, noise, got, gain, spread, lost, work, width)
-            shift(x, innovation, design, gain, work, width)
-            if not diagonal:
-                for j in range(ny):
-                    for s in range(width):
-                        innovation[j, s] /= inverse[j, s]
-                        spread[j, s] /= inverse[j, s] * inverse[j, s]
-            compose(p, work, width)
-            for s in range(width):
-                if lost[s]:
-                    failed[part[s]] = True
-                    bad += 1
-                    _spoil(x, p, s)
-            if not whole:
-                scatter2(innovation, part, width, residual)
-                scatter2(spread, part, width, variance)
-                scatter2(x, part, width, mean)
-                scatter3(p, part, width, covariance)
+        if len(kind):
+            bad += _update(kind, diagonal, tile, mean, covariance, y, predicted, received, h, r, residual, variance,
+                           failed)
     return bad
 
 

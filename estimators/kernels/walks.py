@@ -8,7 +8,7 @@ import numpy as np
 
 from ...scenarios.compiled import accumulate, call
 from .core import apply, extended_predict, inner, kernel, predict
-from .kalman import kalman_update
+from .kalman import any_update, uncorrelated_update
 from .unscented import linearised, sigma_points, unscented_predict
 
 
@@ -37,7 +37,7 @@ def times(matrix, x, out):
     accumulate(matrix, x, out)
 
 
-@kernel
+@inner
 def observe(measurement, jacobian, data, x, nothing, predicted, h):
     """predicted (ny, S) = h(x), h (ny, nx, S) = dh/dx; nothing: what stands for inputs and lengths."""
     runs = x.shape[1]
@@ -45,7 +45,7 @@ def observe(measurement, jacobian, data, x, nothing, predicted, h):
     call(jacobian, x, nothing, nothing[0], data, 1, runs, runs, h)
 
 
-@kernel
+@inner
 def noises(variance, noise, first, r):
     """Diagonal of r (ny, ny, S or more), from run `first` on := R by what sensors tell, variance (ny, S); noise (3, ny)
     as in `WholeSteps`."""
@@ -68,7 +68,8 @@ def walk_kalman(f, F, measurement, jacobian, data, q, noise, seconds, u, y, rece
         extended_predict(f, F, u[b], seconds, data, q, mean, covariance)
         observe(measurement, jacobian, data, mean, nothing, predicted, h)
         noises(variance[b], noise, 0, r)
-        bad += kalman_update(mean, covariance, y[b], predicted, received[b], h, r, residuals[b], variances[b], failed)
+        bad += uncorrelated_update(mean, covariance, y[b], predicted, received[b], h, r, residuals[b], variances[b],
+                                   failed)
         copy2(mean, means[b])
         copy3(covariance, covariances[b])
     return bad
@@ -87,7 +88,7 @@ def walk_linear(f, data, F, q, H, r, seconds, u, y, received, early, mean, covar
             copy2(mean, means[b])
             copy3(covariance, covariances[b])
         times(H.reshape(H.shape[0], H.shape[1]), mean, predicted)
-        bad += kalman_update(mean, covariance, y[b], predicted, received[b], H, r, residuals[b], variances[b], failed)
+        bad += any_update(mean, covariance, y[b], predicted, received[b], H, r, residuals[b], variances[b], failed)
         if not early:
             copy2(mean, means[b])
             copy3(covariance, covariances[b])
@@ -154,8 +155,7 @@ def walk_points(f, measurement, data, q, noise, seconds, weights, scale, u, y, r
         bad += sigma_points(mean, covariance, scale, points, off, failed)
         call(measurement, points, nothing, nothing[0], data, m, runs, runs, images)
         bad += linearised(off, images, weights, covariance, r, predicted, h, told, failed)
-        bad += kalman_update(mean, covariance, y[b], predicted, received[b], h, told, residuals[b], variances[b],
-                             failed)
+        bad += any_update(mean, covariance, y[b], predicted, received[b], h, told, residuals[b], variances[b], failed)
         copy2(mean, means[b])
         copy3(covariance, covariances[b])
     return bad

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.core import extended_predict, kernel
-from ..kernels.kalman import kalman_update
+from ..kernels.core import extended_predict, inner, kernel
+from ..kernels.kalman import uncorrelated_update
 from ..kernels.mixing import log_density, mix, moments, weigh
 from ..kernels.walks import noises, observe
 from ..outliers.kernels import close, look
 
 
-@kernel
+@inner
 def repeat(values, m, out):
     """out (n, m S) := values (n, S), m times."""
     runs = values.shape[1]
@@ -76,7 +76,7 @@ def walk_modes(f, F, measurement, jacobian, data, q, noise, seconds, transition,
                 noises(variance[b], noise[j], j * runs, r)
             repeat(y[b], m, seen)
             repeat(accepted, m, got)
-            bad += kalman_update(mean, covariance, seen, predicted, got, h, r, residual, spread, failed)
+            bad += uncorrelated_update(mean, covariance, seen, predicted, got, h, r, residual, spread, failed)
             likelihoods[b] = weigh(weight, log_density(residual, spread, accepted), heard, lost)
         moments(weight, mean, covariance, means[b], covariances[b])
     return bad

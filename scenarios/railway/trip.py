@@ -101,7 +101,7 @@ class Reference:
             if rate < 0:
                 inside = [position for position, _ in line.gradients if start < position < end]
                 rise = float(line.gradient(np.array([start, *inside])).min())
-                force = forces.brake * share(KMH * base**0.5, *forces[7:12])
+                force = forces.brake * share.py_func(KMH * base**0.5, *forces[7:12])
                 found.append((-controller.effort[0] * force + forces.r0 + g * rise, float(start)))
         return min(found)
 
@@ -119,7 +119,7 @@ def check_trip(line: Line, train: Train, controller: Controller, w_bar: float, s
             raise ValueError(f"the speed limit of {limit:.2f} m/s from {position:g} m on is not above the controller's "
                              f"margin of {controller.margin:.2f} m/s (plant.controller.margin)")
     forces, g = train.forces, GRAVITY / (1 + train.rotating)
-    pull = controller.effort[1] * forces.drive * share(5.0, *forces[1:6]) - forces.r0 - w_bar
+    pull = controller.effort[1] * forces.drive * share.py_func(5.0, *forces[1:6]) - forces.r0 - w_bar
     for position, rise in line.gradients:
         if position < line.stops[-1] and g * rise >= pull:
             raise ValueError(f"the train cannot climb {1e3 * rise:.1f} per mille from {position:g} m on: with a "

@@ -9,11 +9,24 @@ from railstate.benchmarks.scoring.kernels import lane_sum
 from railstate.benchmarks.scoring.scorer import Scorer
 from railstate.benchmarks.scoring.windows import PhaseErrors
 from railstate.estimators.interface import Estimate, Status
+from railstate.scenarios.machine_code import njit
 from railstate.scenarios.setting import Quantity
 from railstate.scenarios.world import Step
 from scipy.stats import chi2
 
 from .steps import stretches
+
+
+@njit(cache=True)
+def total(values):  # pyright: ignore
+    return lane_sum(values)
+
+
+@njit(cache=True)
+def spread(forms, live, middle, limit, inside, histogram):  # pyright: ignore
+    for form in forms:
+        add_spread(form, live, middle, limit, inside, histogram)
+
 
 STEPS, SKIP = 12, 3
 QUANTITIES = (Quantity("position", "m", ((0, 1.0), (1, 1.0))), Quantity("speed", "m/s", ((2, 3.6),)),
@@ -127,6 +140,16 @@ def test_bad_runs_have_a_status_and_leave_the_others_alone() -> None:
         assert np.isnan(bad.metrics[key][~keep]).all()
 
 
+def quadratic(vector: np.ndarray, truth: np.ndarray, matrix: np.ndarray, states: int = 4) -> np.ndarray:
+    """The quadratic forms (S,) of one step, whose matrix is fine."""
+    form, diagonal = np.full((1, vector.shape[1]), -1.0), np.empty((1, len(matrix), vector.shape[1]))
+    failed = np.ones(form.shape, dtype=bool)
+    quadratic_forms(vector[None], truth[None], matrix[None], states, diagonal, form, failed)
+    assert not failed.any()
+    np.testing.assert_array_equal(diagonal[0] - matrix[range(len(matrix)), range(len(matrix))], 0.0)
+    return form[0]
+
+
 @pytest.mark.parametrize("runs", [1, 5, 700])
 @pytest.mark.parametrize("shared", [True, False])
 def test_quadratic_forms(runs: int, shared: bool) -> None:
@@ -134,17 +157,17 @@ def test_quadratic_forms(runs: int, shared: bool) -> None:
     root = rng.normal(size=(4, 4, 1 if shared else runs))
     matrix = np.einsum("ijs,kjs->iks", root, root) + 0.1 * np.eye(4)[:, :, None]
     vector, truth = rng.normal(size=(2, 5, runs))
-    out, lost = np.empty(runs), np.zeros(runs, dtype=bool)
-    quadratic_forms(vector, truth, matrix, np.ones(runs), out, lost)
-    error = (vector - truth)[:4]
-    expected = [error[:, s] @ np.linalg.solve(matrix[:, :, 0 if shared else s], error[:, s]) for s in range(runs)]
-    np.testing.assert_allclose(out, expected, rtol=1e-9)
-    assert not lost.any()
+    for states in (4, 3):
+        error = (vector - truth)[:states]
+        part = matrix[:states, :states]
+        expected = [error[:, s] @ np.linalg.solve(part[:, :, 0 if shared else s], error[:, s]) for s in range(runs)]
+        np.testing.assert_allclose(quadratic(vector, truth, matrix, states), expected, rtol=1e-9)
+    unknown = np.where(np.arange(5)[:, None] == 1, np.nan, truth)
+    np.testing.assert_array_equal(quadratic(vector, unknown, matrix),
+                                  quadratic(vector, np.where(np.isnan(unknown), vector, unknown), matrix))
     singular = np.zeros((4, 4, 1))
-    quadratic_forms(vector, vector, singular, np.ones(runs), out, lost)
-    assert np.isnan(out).all() and not lost.any()  # no claim, no error: nothing to be judged
-    quadratic_forms(vector, truth, singular, np.ones(runs), out, lost)
-    assert np.isposinf(out).all() and not lost.any()
+    assert np.isnan(quadratic(vector, vector, singular)).all()  # no claim, no error: nothing to be judged
+    assert np.isposinf(quadratic(vector, truth, singular)).all()
 
 
 def test_a_claim_without_uncertainty_where_there_is_an_error_is_infinitely_too_sure() -> None:
@@ -154,11 +177,9 @@ def test_a_claim_without_uncertainty_where_there_is_an_error_is_infinitely_too_s
     matrix = np.einsum("ijs,kjs->iks", root, root)
     allowed = rng.normal(size=(4, 50))
     allowed[3] = allowed[0]
-    out, lost, zero = np.empty(50), np.zeros(50, dtype=bool), np.zeros((4, 50))
-    quadratic_forms(allowed, zero, matrix, np.ones(50), out, lost)
-    assert np.isnan(out).all() and not lost.any()
-    quadratic_forms(allowed + 1e-3 * rng.normal(size=(4, 50)), zero, matrix, np.ones(50), out, lost)
-    assert np.isposinf(out).all() and not lost.any()
+    zero = np.zeros((4, 50))
+    assert np.isnan(quadratic(allowed, zero, matrix)).all()
+    assert np.isposinf(quadratic(allowed + 1e-3 * rng.normal(size=(4, 50)), zero, matrix)).all()
 
 
 def test_infinite_nees_reaches_the_metrics() -> None:
@@ -175,22 +196,20 @@ def test_infinite_nees_reaches_the_metrics() -> None:
 @pytest.mark.parametrize("length", [0, 1, 7, 8, 1001])
 def test_lane_sum(length: int) -> None:
     values = np.random.default_rng(2).normal(size=length)
-    assert lane_sum(values) == pytest.approx(values.sum(), abs=1e-12)
+    assert total(values) == pytest.approx(values.sum(), abs=1e-12)
 
 
 def test_median_and_share_inside() -> None:
     """Of chi-square forms: the share exactly, the median to less than a bin of its histogram, zeros, infinities."""
     forms, middle, limit = np.random.default_rng(3).chisquare(2, (4001, 6)), chi2(2).ppf(0.5), chi2(2).ppf(0.95)
     inside, histogram = np.zeros(6), np.zeros((6, BINS), dtype=np.int32)
-    for form in forms:
-        add_spread(form, np.ones(6), middle, limit, inside, histogram)
+    spread(forms, np.ones(6), middle, limit, inside, histogram)
     np.testing.assert_array_equal(inside, (forms <= limit).sum(axis=0))
     np.testing.assert_allclose(histogram_medians(histogram), np.median(forms, axis=0) / middle, rtol=0.03)
     inside, histogram = np.zeros(6), np.zeros((6, BINS), dtype=np.int32)
-    add_spread(np.array([0.0, 1e-300, 1e300, np.inf, np.nan, 1.0]), np.array([1.0] * 5 + [0.0]), 1.0, 2.0, inside,
-               histogram)
+    spread(np.array([[0.0, 1e-300, 1e300, np.inf, np.nan, 1.0]]), np.array([1.0] * 5 + [0.0]), 1.0, 2.0, inside,
+           histogram)
     np.testing.assert_array_equal(histogram_medians(histogram), [0.0, 0.0, np.inf, np.inf, np.nan, np.nan])
     np.testing.assert_array_equal(inside, [1, 1, 0, 0, 0, 0])
-    for _ in range(9):
-        add_spread(np.ones(6), np.ones(6), 1.0, 2.0, inside, histogram)
+    spread(np.ones((9, 6)), np.ones(6), 1.0, 2.0, inside, histogram)
     assert (abs(histogram_medians(histogram) - 1) < 1 / 16).all()  # one degenerate step rules nothing
