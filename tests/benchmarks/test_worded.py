@@ -182,7 +182,8 @@ def test_what_a_search_has_to_say() -> None:
     edges = [f"the optimum of {key} lies at a limit of the search: it may be better beyond" for key in "ab"]
     assert _remarks(found) == [  # pyright: ignore[reportArgumentType]
         *edges, "none is better than the untuned entry, which stays",
-        "1 evaluations took more than 1.25 s and were given up", "2 evaluations ended infeasible or with lost runs", "3 evaluations broke --subject-to", ""]
+        "1 evaluations took more than 1.25 s and were given up", "2 evaluations ended infeasible or with lost runs",
+        "3 evaluations broke --subject-to", ""]
     found.found.edge, found.kept, found.evaluations = [], False, [fine]
     assert _remarks(found) == []  # pyright: ignore[reportArgumentType]
 
