@@ -24,7 +24,7 @@ from numba import cfunc as numba_cfunc
 from numba import njit as numba_njit
 from numba.core import config as numba_config
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.compiler import Compiler, Flags
 from numba.core.registry import CPUDispatcher
 
 try:
@@ -40,6 +40,11 @@ KEPT = 8
 PATIENCE = 120.0
 """Seconds to wait for what another process compiles."""
 _IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+
+
+_DEFAULTS = {name: option.default for name, option in Flags.options.items()}
+Flags.values = lambda self: {**_DEFAULTS, **self._values}  # pyright: ignore
+"""As numba's own, which asks for each option by itself, at every look for a function that a kernel calls."""
 
 
 class _Part(JITCodeLibrary):
