@@ -87,7 +87,7 @@ class WholeSteps(NamedTuple):
 
 class LinearSteps(NamedTuple):
     """A linear design model over whole sampling periods that are all alike: x+ in machine code with its `data`, F, Q
-    (nx, nx, 1), H (ny, nx, 1), and R (ny, ny, 1) where sensors tell none. of: as above."""
+    (nx, nx, 1), H (ny, nx, 1), and R (ny, ny, 1), which is diagonal, where sensors tell none. of: as above."""
 
     transition: Compiled
     data: Array

@@ -253,6 +253,7 @@ def linear_model(
                  told(lambda step: linear.R(step)[:, :, None]))
     F, Q, H, R = (np.array(matrix[:, :, None], dtype=float, order="C") for matrix in (
         linear.A(0), linear.Q(0), linear.C(0), linear.R(0)))
+    coupled = np.count_nonzero(R) > np.count_nonzero(R[:, :, 0].diagonal())
     return DesignModel(
         states=states,
         measurements=measurements,
@@ -267,7 +268,7 @@ def linear_model(
         initial_covariance=initial_covariance,
         linear=linear,
         linear_measurement=True,
-        whole=None if always is None else LinearSteps(transition, always, F, Q, H, R, functions),
+        whole=None if always is None or coupled else LinearSteps(transition, always, F, Q, H, R, functions),
         **parts,  # pyright: ignore[reportArgumentType]
     )
 

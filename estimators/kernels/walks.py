@@ -88,7 +88,8 @@ def walk_linear(f, data, F, q, H, r, seconds, u, y, received, early, mean, covar
             copy2(mean, means[b])
             copy3(covariance, covariances[b])
         times(H.reshape(H.shape[0], H.shape[1]), mean, predicted)
-        bad += any_update(mean, covariance, y[b], predicted, received[b], H, r, residuals[b], variances[b], failed)
+        bad += uncorrelated_update(mean, covariance, y[b], predicted, received[b], H, r, residuals[b], variances[b],
+                                   failed)
         if not early:
             copy2(mean, means[b])
             copy3(covariance, covariances[b])
