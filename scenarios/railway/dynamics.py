@@ -52,7 +52,7 @@ class Slope(NamedTuple):
     jump: Array
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inner=True)
 def share(V, c0, c1, c2, c3, c4):  # pyright: ignore
     """Share of the greatest force that is left at V km/h, within 0..1."""
     V = max(V, 0.1)
@@ -60,7 +60,7 @@ def share(V, c0, c1, c2, c3, c4):  # pyright: ignore
     return max(0.0, min(1.0, left))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inner=True)
 def effect(u, forces):  # pyright: ignore
     """Greatest force and its five coefficients that the input u calls on: braking where negative, else traction."""
     back = u < 0.0
@@ -68,7 +68,7 @@ def effect(u, forces):  # pyright: ignore
             forces.b2 if back else forces.t2, forces.b3 if back else forces.t3, forces.b4 if back else forces.t4)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inner=True)
 def level(v, u, forces):  # pyright: ignore
     """Acceleration on level track, m/s^2: traction for u > 0, braking for u < 0, less resistance."""
     V = KMH * v
@@ -76,7 +76,7 @@ def level(v, u, forces):  # pyright: ignore
     return u * top * share(V, c0, c1, c2, c3, c4) - (forces.r0 + V * (forces.r1 + V * forces.r2))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inner=True)
 def climb(s, slope):  # pyright: ignore
     """Deceleration by the gradient at s (m), m/s^2. Beyond the line its first and last gradients go on.
 
@@ -86,7 +86,7 @@ def climb(s, slope):  # pyright: ignore
     return slope.base[cell] + (slope.jump[cell] if s >= slope.edge[cell] else 0.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inner=True)
 def damping(v, u, forces):  # pyright: ignore
     """da/dv in 1/s."""
     V = KMH * v
@@ -143,7 +143,7 @@ def transition_jacobian(v, u, h, forces, width, out):  # pyright: ignore
         rows[3][r] = 1.0 + h[r] * d
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inner=True)
 def _told(data):  # pyright: ignore
     """`Forces` and `Slope` of what `constants` packed."""
     count = int(data[17])
