@@ -70,7 +70,7 @@ class Loop:
         k, straight = 0, getattr(self.world, "straight", None)
         early, late = self.observer.predicted_wanted, self.observer.updated_wanted
         walks = (self.observer.walks and early != late and straight is not None and self.estimator.lag == 0
-                 and not self.estimator.oracle and self.own in (None, self.mean.shape[0]))
+                 and not self.estimator.oracle and self.own in (None, *np.shape(self.mean)[:1]))
         while k < self.world.steps:
             ahead = straight(k, STRETCH) if walks and straight else None
             if ahead is not None:

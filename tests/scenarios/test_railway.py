@@ -10,6 +10,7 @@ from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.interface import Estimate, Estimator
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
+from railstate.scenarios.machine_code import njit
 from railstate.scenarios.railway.dynamics import GRAVITY, climb, level
 from railstate.scenarios.railway.line import Line, read_line, read_train
 from railstate.scenarios.randomness import Streams
@@ -172,13 +173,13 @@ def test_a_trip_does_not_depend_on_its_batch(pair):
 
 
 def test_train_file_gives_force_power_and_resistance(pair):
-    found = read_train(pair["plant.train"])
+    found, at = read_train(pair["plant.train"]), njit()(lambda v, u, forces: level(v, u, forces))
     for kmh in (5.0, 20.0, 45.0, 64.0):
         v = kmh / 3.6
         resistance = 1500 + 10 * kmh + 0.8 * kmh**2
         traction, braking = min(110e3, 900e3 / v), 20e3 + min(90e3, 1000e3 / v)
-        assert level.py_func(v, 1.0, found.forces) == pytest.approx((traction - resistance) / 108e3, rel=1e-12)
-        assert level.py_func(v, -1.0, found.forces) == pytest.approx((-braking - resistance) / 108e3, rel=1e-12)
+        assert at(v, 1.0, found.forces) == pytest.approx((traction - resistance) / 108e3, rel=1e-12)
+        assert at(v, -1.0, found.forces) == pytest.approx((-braking - resistance) / 108e3, rel=1e-12)
 
 
 def test_units_of_a_line_are_read(pair):
