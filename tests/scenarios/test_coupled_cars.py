@@ -94,6 +94,17 @@ def test_input_is_that_of_the_interval_that_ends_at_the_step() -> None:
     np.testing.assert_array_equal(world.initial_mean, world.truth[0])
 
 
+def test_the_believed_start() -> None:
+    """Off the truth by uniform errors of either kind, of a stream of its own; nowhere where it is not known at all."""
+    streams = Streams(3, "cbtc-csma", "uniform", [4, 9])
+    off = setting(plant__start_error=[2.0, 0.5], time__steps=3).world(streams)
+    drawn = Streams(3, "cbtc-csma", "uniform", [4, 9])("start").uniform(-1.0, 1.0, 12)
+    np.testing.assert_array_equal(off.initial_mean - off.truth[0],
+                                  off.truth[0] + np.repeat([[2.0], [0.5]], 6, axis=0) * drawn - off.truth[0])
+    nowhere = setting(plant__start="zero", plant__start_error=[0.0, 0.5], time__steps=3).world(streams)
+    np.testing.assert_array_equal(nowhere.initial_mean, np.repeat([[0.0], [0.5]], 6, axis=0) * drawn)
+
+
 def test_push_pull_drives_the_end_cars_only() -> None:
     both, ends = setting().design_model({}, np.zeros((12, 1))), setting("push-pull").design_model({}, np.zeros((12, 1)))
     assert both.linear is not None and ends.linear is not None
