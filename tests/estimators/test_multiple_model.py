@@ -251,3 +251,13 @@ def test_noise_reaches_states_through_others_in_any_mode() -> None:
     modes = Grid("f", np.arange(2.0), A, np.zeros((2, 4, 0)), np.eye(1, 4), Q, np.eye(1), np.full(2, 0.5))
     assert reached(modes).tolist() == [True, True, False, True]
     assert reached(replace(modes, Q=np.zeros((4, 4)))).tolist() == [False] * 4
+
+
+@pytest.mark.parametrize(("states", "claimed"), [((False,) * 3, 0), ((True, False, False), 1), ((True, True, False), 2),
+                                                 ((False, True, False), 2), ((True,) * 3, 3)])
+def test_claims_go_up_to_the_last_state_that_has_one(setting: Braking, states: tuple[bool, ...], claimed: int) -> None:
+    mean = setting.world(streams(range(2))).initial_mean
+    estimator, model = KnownParameterKalman(), setting.told({}, {}, mean)
+    estimator.start(model, 2, streams(range(2))("estimator", "x"))
+    estimate = estimator.claim(np.array([*states, *[False] * (model.nx - 3)]), np.zeros((1, 2)))
+    assert estimate.covariance is not None and estimate.covariance.shape == (claimed, claimed, 2)

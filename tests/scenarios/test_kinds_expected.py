@@ -14,6 +14,7 @@ from railstate.scenarios.randomness import Streams
 
 from ..benchmarks.test_expected import SHORT
 from ..benchmarks.test_python_expected import columns_of
+from ..expected import digest
 from .test_models_expected import told
 
 BASES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -106,11 +107,12 @@ def test_kinds(expected: Callable[[str, str], None]) -> None:
                 setting = load(scenario, overrides, variant).setting(variant)
                 found = simulated(setting, Streams(6, scenario, variant, (2,)))
                 world = setting.world(Streams(6, scenario, variant, (0, 1, 2)))
+                start = [f"start {digest(world.initial_mean)}"]
                 lines = [*columns_of(found.truth), *columns_of(found.measurements), *told(
                     setting.told({}, {}, world.initial_mean), world.step(0, world.initial_mean))]
             except (InputError, Unsupported) as error:
-                lines = [str(error)]
-            more = [line for line in dict.fromkeys(lines) if line not in seen[base]]
+                lines, start = [str(error)], []
+            more = [line for line in dict.fromkeys([*lines, *start]) if line not in seen[base]]
             out += [str(len(lines)), *(f"  {line.strip()}" for line in more)]
             seen[base].update(more)
     expected("kinds", "\n".join(out))
