@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,6 +132,26 @@ def test_balises_are_events_inside_their_steps() -> None:
     # a balise is read within the reader's error of its place
     off = made.ride.place - made.passages.place
     assert np.abs(off).max() <= 0.2 + 0.5 * (3.6 * 22.2 - 40) / 460 and off.std() > 0.1
+
+
+def test_two_balises_of_one_run_in_one_step() -> None:
+    """Shares of the step are those since the event before, of each run by itself."""
+    world: Any = SimpleNamespace(
+        y=np.zeros((5, 2, 3)), variance=np.full((5, 2, 3), 4.0), balise=1, _events={},
+        passages=SimpleNamespace(told=100.0 + np.arange(9.0).reshape(3, 3)), balise_variance=np.array([1.0, 2.0, 3.0]),
+        readings={1: [(np.array([0, 2]), np.array([0.25, 0.5]), np.array([0, 1])),
+                      (np.array([0]), np.array([0.75]), np.array([2]))]})
+    assert OdometryWorld._inside(world, 0) == ((), 0.0)
+    (first, second), gone = OdometryWorld._inside(world, 1)
+    assert first.share.tolist() == [0.25, 0.0, 0.5] and second.share.tolist() == [0.5, 0.0, 0.0]
+    assert gone.tolist() == [0.75, 0.0, 0.5]
+    assert first.y.tolist() == [[0, 0, 0], [100.0, 0, 105.0]] and second.y.tolist() == [[0, 0, 0], [106.0, 0, 0]]
+    assert first.received.tolist() == [[False] * 3, [True, False, True]]
+    assert second.received.tolist() == [[False] * 3, [True, False, False]]
+    for event, told in ((first, [1.0, 4.0, 2.0]), (second, [3.0, 4.0, 4.0])):
+        assert event.covariance[0, 0].tolist() == [4.0] * 3 and event.covariance[1, 1].tolist() == told
+        assert not event.covariance[0, 1].any() and not event.covariance[1, 0].any()
+    assert OdometryWorld._inside(world, 1) is world._events[1]
 
 
 def test_what_sensors_tell() -> None:

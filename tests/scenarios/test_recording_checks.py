@@ -77,6 +77,11 @@ def spoilt() -> dict[str, tuple[Array, Columns, Columns]]:
     across[[30, 31, 200]] = 51.0, 80.0, 60.0
     add("across", lambda columns: columns.update(across=across))
     add("across, told", lambda columns: columns.update(across=across), told={"position": np.full(400, 10.0)})
+    time = np.arange(120.0)
+    found["slow, then still"] = time, {"position": np.minimum(2 * time, 120.0)}, {}
+    found["still, then slow"] = time, {"position": np.maximum(2 * time, 120.0)}, {}
+    found["fast, then still"] = time, {"position": np.minimum(4 * time, 240.0)}, {}
+    found["still, then fast"] = time, {"position": np.maximum(4 * time, 240.0)}, {}
     add("wheels", lambda columns: columns.update({"wheel-a": columns["odometer"], "wheel-b": 2 * columns["odometer"]}))
     return found
 
