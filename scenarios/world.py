@@ -233,25 +233,24 @@ class Trajectory:
         turns = (self.active[1:] != self.active[:-1]).any(axis=1) | (self.lengths[1:] != self.lengths[:-1])
         return np.append(np.flatnonzero(turns) + 1, self.steps)
 
-    @cached_property
-    def _heard(self) -> Mask | None:
-        """What arrives of runs under way (K, ny, S); None where not every step has all of it at its end."""
-        if self.closed_loop or any(part is not None for part in (self.covariance, self.late, self.faulty, self.inside)):
-            return None
-        whole = all(part.flags.c_contiguous and part.dtype == np.float64 for part in (self.u, self.y))
-        heard = self.received if self.active.all() else read_only(self.received & self.active[:, None])
-        return heard if whole and heard.flags.c_contiguous else None
+    @property
+    def _plain(self) -> bool:
+        """Whether every step has all that it brings at its end, in arrays as compiled code takes them."""
+        return not self.closed_loop and self.received.flags.c_contiguous and all(
+            part is None for part in (self.covariance, self.late, self.faulty, self.inside)) and all(
+            part.flags.c_contiguous and part.dtype == np.float64 for part in (self.u, self.y))
 
     def straight(self, k: int, most: int) -> Straight | None:
         """Steps of one length."""
         starts, lengths = self._clock
-        heard, period = self._heard, lengths[k]
-        if heard is None or not period or not self.active[k].any():
+        period, listens = lengths[k], self.active[k]
+        if not self._plain or not period or not listens.any():
             return None
         end = min(k + most, int(self._ends[np.searchsorted(self._ends, k, side="right")]))
         part = slice(k, end)
+        heard = self.received[part] if listens.all() else read_only(self.received[part] & listens)
         course = Course(k + (lengths[0] > 0), period, np.array(starts[part]) + period, self.u[part], self.y[part],
-                        heard[part], None if self.variance is None else self.variance[part])
+                        heard, None if self.variance is None else self.variance[part])
         return Straight(course, self.truth[part], self.active[part], None,
                         None if self.window is None else self.window[part],
                         None if self.reference is None else self.reference[part], self.step(end - 1, self.truth[-1]))
