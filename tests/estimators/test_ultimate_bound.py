@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cvxpy as cp
@@ -93,21 +92,6 @@ def check_inequality(system: ErrorSystem, found: Certificate, samples: int = 400
                 moved = drift - gain @ system.C @ e
                 after += probability * (moved @ P @ moved + np.trace(noise @ gain.T @ P @ gain))
             assert after <= (found.theta * e @ P @ e + (1 - found.theta) * found.bound) * (1 + 1e-6)
-
-
-def test_a_mirror_holds_to_rounding_or_not_at_all() -> None:
-    """However small the numbers are: what is symmetric is found by its own size."""
-    order: Any = ((1, 0), (1, 0), (1, 0))
-    even, system = np.array([[2.0, 1.0], [1.0, 2.0]]), SimpleNamespace(mirror=order, nodes=[1])
-    for scale in (1.0, 1e-9):
-        bases = lmi._sectors(system, lmi._Scaled(*[scale * even] * 6))  # pyright: ignore
-        assert bases is not None and [[basis.shape for basis in sector] for sector in bases] == [[(2, 1)] * 3] * 2
-        for broken in range(5):
-            parts = [scale * even for _ in range(6)]
-            parts[broken] = scale * (even + np.diag([1e-6, 0.0]))
-            assert lmi._sectors(system, lmi._Scaled(*parts)) is None  # pyright: ignore
-    for other in (SimpleNamespace(mirror=None, nodes=[1]), SimpleNamespace(mirror=order, nodes=[1, 2])):
-        assert lmi._sectors(other, lmi._Scaled(*[even] * 6)) is None  # pyright: ignore
 
 
 
