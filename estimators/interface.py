@@ -82,10 +82,9 @@ class Walk(NamedTuple):
     innovation: Innovation = Innovation()
     bound: Array | None = None
 
-    @property
-    def last(self) -> Estimate:
-        """The latest estimate."""
-        return Estimate(self.mean[-1], covariance=None if self.covariance is None else self.covariance[-1],
+    def at(self, b: int) -> Estimate:
+        """The estimate of one of them."""
+        return Estimate(self.mean[b], covariance=None if self.covariance is None else self.covariance[b],
                         bound=self.bound)
 
 
@@ -102,9 +101,11 @@ class Room:
                 self.kept[name] = np.zeros((steps, *shape))
         return [self.kept[name][:steps] for name in shapes]
 
-    def gaussian(self, steps: int, nx: int, ny: int, runs: int) -> list[Array]:
-        """Those of a Kalman filter's `Walk`: mean, covariance, residual, variance."""
-        return self.of(steps, mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs), variance=(ny, runs))
+    def gaussian(self, steps: int, nx: int, ny: int, runs: int) -> Walk:
+        """A Kalman filter's walk, to be filled: mean, covariance, residual, variance."""
+        mean, covariance, *said = self.of(steps, mean=(nx, runs), covariance=(nx, nx, runs), residual=(ny, runs),
+                                          variance=(ny, runs))
+        return Walk(mean, covariance, Innovation(*said))
 
 
 def misshapen(estimate: Estimate, nx: int, runs: int, parameters: int) -> str | None:

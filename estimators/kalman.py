@@ -91,26 +91,23 @@ class ExtendedKalman(Estimator):
         whole = self.model.over(course)
         if type(self) not in (ExtendedKalman, Kalman) or whole is None:
             return None
-        seconds = np.full(self.runs, course.period)
-        if isinstance(whole, LinearSteps):
-            if course.variance is not None:
-                return None
-            out = self._room_for(course)
-            failed = walk_linear(whole.transition.address, whole.data, whole.F, whole.Q, whole.H, whole.R, seconds,
-                                 course.u, course.y, course.received, early, self._mean, self._covariance,
-                                 self._failed, *out)
-        elif early:
+        linear = isinstance(whole, LinearSteps)
+        if course.variance is not None if linear else early:
             return None
+        walk, seconds = self._room_for(course), np.full(self.runs, course.period)
+        own = self._mean, self._covariance, self._failed, walk.mean, walk.covariance, *walk.innovation[:2]
+        if linear:
+            failed = walk_linear(whole.transition.address, whole.data, whole.F, whole.Q, whole.H, whole.R, seconds,
+                                 course.u, course.y, course.received, early, *own)
         else:
-            out = self._room_for(course)
             failed = walk_kalman(*whole[:6], whole.noise, seconds, course.u, course.y, course.received, course.told,
-                                 self._mean, self._covariance, self._failed, *out)
+                                 *own)
         if failed:
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return Walk(out[0], out[1], Innovation(out[2], out[3]))
+        return walk
 
-    def _room_for(self, course: Course) -> list[Array]:
-        """The arrays of a `Walk`; from now on the runs' covariances differ."""
+    def _room_for(self, course: Course) -> Walk:
+        """A walk to be filled; from now on the runs' covariances differ."""
         self._expand()
         return self._room.gaussian(len(course.y), self.model.nx, self.model.ny, self.runs)
 

@@ -17,7 +17,7 @@ from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from .interface import Estimate, Estimator, Innovation, Parameters, Room, Walk
 from .kernels.core import kernel
-from .kernels.walks import noises
+from .kernels.walks import copy2, noises
 
 
 class RelocationParameters(Parameters):
@@ -106,9 +106,7 @@ def _walk(f, data, noise, seconds, u, y, received, variance, rows, scale, mean, 
         noises(variance[b], noise, 0, r)
         for s in range(runs):
             gone[s] += abs(moved[0, s] - mean[0, s])
-        for i in range(nx):
-            for s in range(runs):
-                mean[i, s] = moved[i, s]
+        copy2(moved, mean)
         for row in rows:
             for s in range(runs):
                 if received[b, row, s]:
@@ -116,4 +114,4 @@ def _walk(f, data, noise, seconds, u, y, received, variance, rows, scale, mean, 
         for s in range(runs):
             far = scale * gone[s]
             covariances[b, 0, 0, s] = fixed[s] + far * far
-        means[b] = mean
+        copy2(mean, means[b])

@@ -96,11 +96,12 @@ class SigmaPointKalman(Estimator):
         if early or not isinstance(whole, WholeSteps) or self._linear or not self.redraw or type(self) not in (
                 UnscentedKalman, CubatureKalman):
             return None
-        out = self._room.gaussian(len(course.y), self.model.nx, self.model.ny, self.runs)
+        walk = self._room.gaussian(len(course.y), self.model.nx, self.model.ny, self.runs)
         self._flag(walk_points(whole.transition, whole.measurement, whole.data, whole.Q, whole.noise,
                                np.full(self.runs, course.period), self._weights, self._scale, course.u, course.y,
-                               course.received, course.told, self._mean, self._covariance, self._failed, *out))
-        return Walk(out[0], out[1], Innovation(out[2], out[3]))
+                               course.received, course.told, self._mean, self._covariance, self._failed,
+                               walk.mean, walk.covariance, *walk.innovation[:2]))
+        return walk
 
     def estimate(self) -> Estimate:
         if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:

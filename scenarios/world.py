@@ -233,7 +233,7 @@ class Trajectory:
         turns = (self.active[1:] != self.active[:-1]).any(axis=1) | (self.lengths[1:] != self.lengths[:-1])
         return np.append(np.flatnonzero(turns) + 1, self.steps)
 
-    @property
+    @cached_property
     def _plain(self) -> bool:
         """Whether every step has all that it brings at its end, in arrays as compiled code takes them."""
         return not self.closed_loop and self.received.flags.c_contiguous and all(

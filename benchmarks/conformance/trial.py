@@ -88,18 +88,18 @@ class _Recorder(Observer):
     predicted_wanted = updated_wanted = every = True
 
     def __init__(self, first: Estimate) -> None:
-        self.estimates, self.when, self.event = [_copied(first)], ["at the start"], 0
+        self.estimates, self.when, self.event = [copied(first)], ["at the start"], 0
         self.innovations: dict[str, Innovation] = {}
 
     def measured(self, step: Step, measurement: Measurement, innovation: Innovation) -> None:
         self.innovations[f"after the measurement of event {self.event}"] = told(measurement.received, innovation)
 
     def predicted(self, step: Step, event: int, estimate: Estimate) -> None:
-        self.estimates.append(_copied(estimate))
+        self.estimates.append(copied(estimate))
         self.when.append(f"after the prediction of event {self.event}")
 
     def updated(self, step: Step, event: int, estimate: Estimate) -> None:
-        self.estimates.append(_copied(estimate))
+        self.estimates.append(copied(estimate))
         self.when.append(f"after the measurement of event {self.event}")
         self.event += 1
 
@@ -184,6 +184,6 @@ def _how_far(mine: Array, theirs: Array) -> str:
     return " (wrong: more than the last digits)"
 
 
-def _copied(estimate: Estimate) -> Estimate:
+def copied(estimate: Estimate) -> Estimate:
     return Estimate(*(value.copy() if isinstance(value, np.ndarray) else value for value in
                       (getattr(estimate, name) for name in CLAIMS)))  # pyright: ignore[reportArgumentType]

@@ -10,7 +10,7 @@ from ...estimators.interface import Estimate, Innovation
 from ...scenarios.arrays import read_only
 from ...scenarios.measurement import Course
 from .tapes import Tape
-from .trial import DoesNotApply, Record, Trial, begun, difference, told
+from .trial import DoesNotApply, Record, Trial, begun, copied, difference, told
 
 
 def walks(trial: Trial) -> str | None:
@@ -35,9 +35,9 @@ def walks(trial: Trial) -> str | None:
 def _straight(tape: Tape) -> bool:
     """Whether it is whole periods of one length, with one measurement at the end of each of which nobody tells how good
     it is."""
-    return (all(tape.begins) and all(share == 1.0 for share in tape.shares if isinstance(share, float))
-            and all(isinstance(part, float) for part in (*tape.shares, *tape.spans, *tape.starts))
-            and len(set(tape.spans)) == 1 and all(told is None for told in tape.covariances))  # pyright: ignore
+    return (all(isinstance(part, float) for part in (*tape.shares, *tape.spans, *tape.starts)) and all(tape.begins)
+            and set(tape.shares) == {1.0} and len(set(tape.spans)) == 1
+            and all(covariance is None for covariance in tape.covariances))
 
 
 def _walked(trial: Trial, early: bool) -> Record | None:
@@ -55,9 +55,7 @@ def _walked(trial: Trial, early: bool) -> Record | None:
             if walk is None:
                 return None
             for b, got in enumerate(course.received):
-                estimates.append(Estimate(
-                    walk.mean[b].copy(), covariance=None if walk.covariance is None else walk.covariance[b].copy(),
-                    bound=None if walk.bound is None else walk.bound.copy()))
+                estimates.append(copied(walk.at(b)))
                 innovations[when[part.start + b]] = told(got, Innovation(*(
                     None if value is None else value[b] for value in walk.innovation)))
     return Record(estimates, when, np.array(estimator.status), dict(estimator.reasons), {} if early else innovations)

@@ -102,7 +102,7 @@ class _Scoring(Observer):
             taken = stretch.walk(k, straight, walk, done)
             if not taken:
                 self.flush()
-                stretch.renew(walk.last, straight.last)
+                stretch.renew(walk.at(-1), straight.last)
             if stretch.full:
                 self.flush()
             done += taken

@@ -94,9 +94,9 @@ class Stretch:
         return True
 
     def walk(self, k: int, straight: Straight, walk: Walk, done: int) -> int:
-        """Keep steps that were walked at once, of which `done` are kept already: how many there is room for. None, and
+        """Keep steps that were walked at once, of which `done` are kept already: how many there is room for. 0, and
         nothing happens, where they have arrays of other shapes than those before them."""
-        if _form(walk.last) != self.form or _around(straight.last) != self.around:
+        if _form(walk.at(-1)) != self.form or _around(straight.last) != self.around:
             return 0
         b, own, count = self.count, walk.mean.shape[1], min(len(straight.truth) - done, self.room - self.count)
         this, part = slice(b, b + count), slice(done, done + count)

@@ -96,6 +96,7 @@ def _whiten(r, received, h, innovation, failed, width):
 
 
 CORRELATED = -1
+"""What `uncorrelated_update` returns where it does not do."""
 
 
 @inner

@@ -80,14 +80,13 @@ def walk_linear(f, data, F, q, H, r, seconds, u, y, received, early, mean, covar
                 residuals, variances):
     """The Kalman filter of a linear model, `LinearSteps`: see `walk_kalman`. early: means, covariances are those before
     the measurements."""
-    predicted = np.empty((y.shape[1], y.shape[2]))
-    bad = 0
+    predicted, C, bad = np.empty((y.shape[1], y.shape[2])), H.reshape(H.shape[0], H.shape[1]), 0
     for b in range(y.shape[0]):
         predict(f, u[b], seconds, data, F, q, mean, covariance)
         if early:
             copy2(mean, means[b])
             copy3(covariance, covariances[b])
-        times(H.reshape(H.shape[0], H.shape[1]), mean, predicted)
+        times(C, mean, predicted)
         bad += uncorrelated_update(mean, covariance, y[b], predicted, received[b], H, r, residuals[b], variances[b],
                                    failed)
         if not early:

@@ -147,12 +147,13 @@ class ElementwiseKalman(Elementwise, ExtendedKalman):
         whole, how = self.model.over(course), self.judgement()
         if early or not isinstance(whole, WholeSteps) or how is None:
             return None
-        out = self._room_for(course)
+        walk = self._room_for(course)
         seconds = np.full(self.runs, course.period)
         if walk_elements(*whole[:6], whole.noise, seconds, course.u, course.y, course.received, course.told,
-                         course.times, *how, self._mean, self._covariance, self._failed, *out):
+                         course.times, *how, self._mean, self._covariance, self._failed, walk.mean, walk.covariance,
+                         *walk.innovation[:2]):
             flag(self, self._failed, Status.failed, SINGULAR_INNOVATION)
-        return Walk(out[0], out[1], Innovation(out[2], out[3]))
+        return walk
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)

@@ -50,7 +50,7 @@ def test_steps_at_once_are_kept_as_one_by_one(parts: tuple[bool, ...]) -> None:
     straight, walk, steps = walked(parts)
     one, other = Stretch(S, 2), Stretch(S, 2)
     one.renew(*steps[0])
-    other.renew(walk.last, straight.last)
+    other.renew(walk.at(-1), straight.last)
     assert one.room == other.room
     one.room = other.room = 4
     assert one.take(39, *steps[2]) and one.take(40, *steps[0]) and one.take(41, *steps[1]) and one.take(42, *steps[2])

@@ -48,8 +48,7 @@ class Seen(Observer):
         for b, received in enumerate(straight.course.received):
             self._told(straight.course.step + b, received, Innovation(*(
                 None if part is None else part[b] for part in walk.innovation)))
-            self._keep(straight.course.step + b, Estimate(walk.mean[b], covariance=None if walk.covariance is None else
-                                                          walk.covariance[b], bound=walk.bound))
+            self._keep(straight.course.step + b, walk.at(b))
 
     def _keep(self, number: int, estimate: Estimate) -> None:
         for name in ("mean", "covariance", "bound"):
