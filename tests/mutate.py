@@ -1,7 +1,8 @@
 """Seeded faults in the three packages against the tests that reach their lines: run by hand, not by pytest.
 
 `python tests/mutate.py reach DIR [TEST..]`, then `python tests/mutate.py try DIR --seed 7`: in a copy of the tree in
-DIR, as another user under limits (only root can), since a fault may loop or fork. `coverage` has to be installed."""
+DIR, as another user under limits (only root can), since a fault may loop or fork. `coverage` has to be installed.
+A fault is tried against quick tests that reach it, the static checks of CI, then whatever else may see it."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ PRELOADED = ("numba", "pandas", "pyarrow.parquet", "pyarrow.compute", "scipy.lin
 """What a trial need not import anew: libraries, nothing of ours."""
 CHECKS = (("ruff", "check", "--no-cache"), ("pyright",))
 """What CI asks besides the tests; what only these catch is said so."""
-LATE = "+ Timeout +"
+LATE, ENDED, MISSING = "+ Timeout +", re.compile(r"^(?:=+ )?\d+ \w+.* in [\d.]+s", re.MULTILINE), "ERROR: not found: "
+"""In the log of pytest: a test took too long, the last line, a test that is not there."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
@@ -124,11 +126,15 @@ class Room:
             time.sleep(0.1)
         return os.waitstatus_to_exitcode(done[1]) if done[0] else None
 
-    def tried(self, words: list[str], seconds: float) -> tuple[int | None, list[str]]:
-        """How pytest ends, and what fails."""
+    def tried(self, words: list[str], seconds: float) -> tuple[int | None, str]:
+        """How pytest ends, and what it says."""
         log = self.folder / "trial.log"
         code = self.ended(self.begun(words, log, []), seconds)
-        return code, FAILED.findall(log.read_text(errors="replace"))
+        return code, log.read_text(errors="replace")
+
+    def collected(self) -> set[str]:
+        """All tests there are."""
+        return {line for line in self.tried(["--collect-only", "tests"], 300)[1].splitlines() if "::" in line}
 
 
 def _owner(number: int) -> int:
@@ -141,7 +147,8 @@ def _owner(number: int) -> int:
 def attempt(room: Room, options: argparse.Namespace) -> None:
     """Try drawn faults one after the other, in an order drawn too; a line of JSON each in tried.jsonl. In the end the
     tests that caught one run without any fault; what those caught that fail then, too, is tried again."""
-    tests, faults = Tests(room.folder, room.tree), drawn(room.tree, options.seed, options.modules, options.each)
+    tests = Tests(room.folder, room.tree, room.collected())
+    faults = drawn(room.tree, options.seed, options.modules, options.each)
     order = random.Random(options.seed).sample(range(len(faults)), len(faults))
     wanted = set(map(int, options.only.split(","))) if options.only else set(order)
     left, until = [number for number in order if number in wanted], time.monotonic() + 60 * options.minutes
@@ -151,16 +158,14 @@ def attempt(room: Room, options: argparse.Namespace) -> None:
         for number in left:
             if time.monotonic() > until:
                 break
-            chosen = tests.of(faults[number], options.seconds) if options.tests == ["tests"] else options.tests
-            names = [name for name in chosen if name not in unfit]
-            said = {"number": number, **one(room, tests, faults[number], names, options.seconds)}
+            said = {"number": number, **one(room, tests, faults[number], options, unfit)}
             catchers |= {number: said["by"]} if said["by"] else {}
             with (room.folder / f"tried{options.name}.jsonl").open("a") as out:
                 out.write(json.dumps(said) + "\n")
-            print("{number} {how}: {path}:{line} {old!r} -> {new!r} ({tests} tests, {seconds} s) {by}".format(**said),
-                  flush=True)
+            print("{number} {how} {stage}: {path}:{line} {old!r} -> {new!r} ({tests} tests, {seconds} s) {by}"
+                  .format(**said), flush=True)
         asked = sorted(set(catchers.values()) - sound)
-        failing = set(room.tried(asked, 60 + 20 * len(asked))[1]) if asked else set()
+        failing = set(FAILED.findall(room.tried(asked, 60 + 20 * len(asked))[1])) if asked else set()
         sound, unfit = sound | set(asked) - failing, unfit | failing
         left = [number for number, by in catchers.items() if by in failing]
         print(f"{len(failing)} of {len(asked)} tests fail without a fault: {failing}, again {left}", flush=True)
@@ -171,24 +176,41 @@ def refused(room: Room, words: Sequence[str], path: str) -> bool:
     return subprocess.run([*words, path], cwd=room.tree, capture_output=True, check=False).returncode == 1
 
 
-def one(room: Room, tests: Tests, fault: Fault, names: list[str], seconds: float) -> dict[str, Any]:
-    """What becomes of a fault."""
+def one(room: Room, tests: Tests, fault: Fault, options: argparse.Namespace, unfit: set[str]) -> dict[str, Any]:
+    """What becomes of a fault, and who has seen it: the first tests, a static check, or more tests."""
     text, place, begun = tests.text[fault.path], room.tree / fault.path, time.monotonic()
-    before, how, by = place.stat(), "no test reaches it", list[str]()
-    if names:
-        place.write_text(text[:fault.begin] + fault.new + text[fault.end:], encoding="utf-8")
-        try:
-            code, by = room.tried(["-x", *names], 600 + 10 * seconds)
-            how = {0: "survives", 1: "caught", None: "caught: no end"}.get(code, f"caught: pytest ends with {code}")
-            how = "caught: too long" if code == 1 and LATE in (room.folder / "trial.log").read_text() else how
-            if code == 0:
-                how = next((f"caught by {words[0]}" for words in CHECKS if refused(room, words, fault.path)), how)
-        finally:
-            place.write_text(text, encoding="utf-8")
-            os.utime(place, ns=(before.st_atime_ns, before.st_mtime_ns))
-    return {"how": how, "path": fault.path, "line": fault.line, "old": text[fault.begin:fault.end][:80],
-            "new": fault.new, "text": text.splitlines()[fault.line - 1].strip(), "tests": len(names),
-            "by": by[0] if by else "", "seconds": round(time.monotonic() - begun)}
+    before, asked, stage, how, by = place.stat(), list[str](), "", "survives", list[str]()
+
+    def tried(names: list[str]) -> tuple[int | None, str]:
+        return room.tried(["-x", *names], 600 + 10 * options.seconds) if names else (5, "")
+
+    def failing(names: list[str]) -> bool:
+        nonlocal how, by
+        asked.extend(names := [name for name in names if name not in {*unfit, *asked}])
+        code, said = tried(names)
+        if code == 4 and MISSING in said:  # tests for each of something, where the fault leaves one out
+            code, said = tried([name for name in names if f"{MISSING}{room.tree / name}" not in said])
+        by = FAILED.findall(said)
+        how = {0: "survives", 1: "caught", 5: "survives", None: "caught: no end"}.get(code, f"caught: pytest: {code}")
+        how = "caught: too long" if code == 1 and LATE in said else how
+        how = "caught: ended by something else" if code == 0 and not ENDED.search(said) else how
+        return how != "survives"
+
+    place.write_text(text[:fault.begin] + fault.new + text[fault.end:], encoding="utf-8")
+    try:
+        if failing(tests.of(fault, options.seconds) if options.tests == ["tests"] else options.tests):
+            stage = "first tests"
+        elif words := next((words for words in CHECKS if refused(room, words, fault.path)), None):
+            stage, how = "static", f"caught by {words[0]}"
+        elif failing(tests.beyond(fault, asked, options.more)):
+            stage = "more tests"
+    finally:
+        place.write_text(text, encoding="utf-8")
+        os.utime(place, ns=(before.st_atime_ns, before.st_mtime_ns))
+    return {"how": how, "stage": stage, "path": fault.path, "line": fault.line,
+            "old": text[fault.begin:fault.end][:80], "new": fault.new,
+            "text": text.splitlines()[fault.line - 1].strip(), "tests": len(asked), "by": by[0] if by else "",
+            "seconds": round(time.monotonic() - begun)}
 
 
 def main() -> None:
@@ -202,7 +224,9 @@ def main() -> None:
     parser.add_argument("--modules", type=int, default=50)
     parser.add_argument("--each", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=20.0,
-                        help="of tests a fault is tried against, whole outputs apart")
+                        help="of tests a fault is tried against at first, whole outputs apart")
+    parser.add_argument("--more", type=float, default=120.0, help="seconds of tests that what has survived is tried "
+                        "against")
     parser.add_argument("--only", default="", help="numbers of the faults to try, 3,17,..")
     parser.add_argument("--minutes", type=float, default=1e6, help="after which no more faults are tried")
     parser.add_argument("--name", default="", help="of the file of reach, or of what was tried")

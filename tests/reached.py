@@ -11,7 +11,8 @@ import os
 import re
 import time
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from functools import cache
 from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from mutants import PACKAGES, Fault
 
 WHOLE = re.compile(r"^def (test_\w+)\([^)]*\bexpected: (?:Expected|Callable\[\[str, str\], None\])", re.MULTILINE)
 """Tests that compare whole outputs: asked however long they take."""
-TEST = re.compile(r"^def (test_\w+)\(", re.MULTILINE)
+APART = re.compile(r"\b(subprocess|Popen|Fresh|fork|isolation|isolated|jobs|half)\b")
+"""Words of tests that start processes, such as those of plug-ins: nothing is seen of what is reached there."""
 LOADING = "tests/test_defaults.py::test_defaults_and_constants"
 """Looks at all that is made as modules are loaded."""
 SETS_OUT = "short_runs"
@@ -77,20 +79,19 @@ class Reach:
 class Tests:
     """What `Reach` has written down: which tests reach a line, and how long each takes."""
 
-    def __init__(self, folder: Path, tree: Path) -> None:
-        self.tree, self.text, self.names = tree, texts(tree), list[str]()
+    def __init__(self, folder: Path, tree: Path, there: Collection[str]) -> None:
+        self.tree, self.there, self.text, self.names = tree, there, texts(tree), list[str]()
         self.trees = {path: ast.parse(text) for path, text in self.text.items()}
         sources = {str(path.relative_to(tree)): path.read_text(encoding="utf-8")
                    for path in (tree / "tests").rglob("test_*.py")}
         self.whole = {f"{path}::{name}" for path, text in sources.items() for name in WHOLE.findall(text)}
-        there = {f"{path}::{name}" for path, text in sources.items() for name in TEST.findall(text)}
         self.seconds: list[float] = []
         self.lines: dict[str, dict[int, set[int]]] = {}
         for path in sorted((folder / "home").glob("reach*.json")):
             found, before = json.loads(path.read_text()), len(self.names)
             self.names += [name for name, _ in found["tests"]]
             self.seconds += [seconds for _, seconds in found["tests"]]
-            gone = {number for number, (name, _) in enumerate(found["tests"]) if name.partition("[")[0] not in there}
+            gone = {number for number, (name, _) in enumerate(found["tests"]) if name not in there}
             for file, lines in found["lines"].items():
                 now, mine = moved(found["text"][file], self.text.get(file, "")), self.lines.setdefault(file, {})
                 for line, numbers in lines.items():
@@ -104,26 +105,27 @@ class Tests:
         known = {name.partition("[")[0] for name in self.names}
         self.words: dict[str, set[str]] = {}
         self.unknown: dict[str, str] = {}
+        self.apart = set[str]()
         for path, text in sources.items():
             imports = " ".join(re.findall(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", text, re.MULTILINE))
             functions = {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
-            words = {name: {getattr(part, "attr", getattr(part, "id", "")) for part in ast.walk(node)}
-                     for name, node in functions.items()}
+            words = {name: {getattr(part, "attr", getattr(part, "id", getattr(part, "arg", "")))
+                            for part in ast.walk(node)} for name, node in functions.items()}
+            apart = {name for name, node in functions.items() if APART.search(ast.unparse(node))}
             for name in filter(re.compile("test_").match, functions):
                 own = words[name]
                 for _ in range(3):
                     own = own.union(*(words[word] for word in own if word in words))
                 self.words[f"{path}::{name}"] = own
+                if apart & {name, *own}:
+                    self.apart.add(f"{path}::{name}")
                 if f"{path}::{name}" not in known and "long" not in own:
                     self.unknown[f"{path}::{name}"] = imports
 
     def of(self, fault: Fault, most: float) -> list[str]:
         """Those that reach a fault: its statement, the users of what it makes, its module, its package. Quick ones
         first, as many as take so many seconds, and the whole outputs."""
-        folder = os.path.dirname(fault.path)
-        found = self._statement(fault) or self._within(fault.path) or set().union(
-            *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
-        seconds = {self.names[number]: self.seconds[number] for number in found}
+        seconds = {self.names[number]: self.seconds[number] for number in self._reaching(fault)}
         folder, stem = fault.path.removesuffix(".py").replace("/", ".").rpartition(".")[::2]
         module = re.compile(rf"railstate\.{folder}(\.{stem} import| import .*\b{stem}\b)")
         seconds |= {name: 1.0 for name, imports in self.unknown.items() if module.search(imports)}
@@ -132,6 +134,28 @@ class Tests:
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
         taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
         return [name for name in ordered if name in taken]
+
+    def beyond(self, fault: Fault, asked: list[str], most: float) -> list[str]:
+        """What else may see a fault, quick ones first: for half of so many seconds those that reach it, then those that
+        name its function or class, those that start processes, and those that reach its module."""
+        named = {node.name for node in self._around(fault) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        tiers = ((0.5, [self.names[number] for number in self._reaching(fault)]),
+                 (0.6, [name for name in self.there if self.words.get(name.partition("[")[0], set()) & named]),
+                 (0.8, [name for name in self.there if name.partition("[")[0] in self.apart]),
+                 (1.0, [self.names[number] for number in self._within(fault.path)]))
+        seconds, out, spent = dict(zip(self.names, self.seconds, strict=True)), list[str](), 0.0
+        for share, names in tiers:
+            for name in sorted(set(names).difference(asked, out), key=lambda name: seconds.get(name, 1.0)):
+                if spent + seconds.get(name, 1.0) > share * most:
+                    break
+                spent += seconds.get(name, 1.0)
+                out.append(name)
+        return out
+
+    def _reaching(self, fault: Fault) -> set[int]:
+        folder = os.path.dirname(fault.path)
+        return self._statement(fault) or self._within(fault.path) or set().union(
+            *(self._within(path) for path in self.text if os.path.dirname(path) == folder))
 
     def _at(self, path: str, lines: Iterable[int]) -> set[int]:
         mine = self.lines.get(path, {})
@@ -145,14 +169,18 @@ class Tests:
     def _loading(self) -> set[int]:
         return {number for number, name in enumerate(self.names) if name == LOADING}
 
+    def _around(self, fault: Fault) -> list[ast.stmt]:
+        """The statements around a fault, the outermost first."""
+        around, body = list[ast.stmt](), self.trees[fault.path].body
+        while inner := next((node for node in body if _first(node) <= fault.line <= (node.end_lineno or 0)), None):
+            around.append(inner)
+            body = _parts(inner)
+        return around
+
     def _statement(self, fault: Fault) -> set[int]:
         """Tests that reach the statement around a fault. What is done as a module is loaded, compiled, or done in other
         processes is reached by those of the lines that name what it makes."""
-        around, at = list[ast.stmt](), fault.line
-        body: list[ast.stmt] = self.trees[fault.path].body
-        while inner := next((node for node in body if _first(node) <= at <= (node.end_lineno or 0)), None):
-            around.append(inner)
-            body = _parts(inner)
+        around, at = self._around(fault), fault.line
         if not around:
             return set()
         last, functions = around[-1], [node for node in around if isinstance(node, ast.FunctionDef)]
@@ -189,6 +217,7 @@ class Tests:
         return found | named
 
 
+@cache
 def moved(old: str, new: str) -> dict[int, int]:
     """By line of the old text, which line of the new one it is now."""
     if old == new:
