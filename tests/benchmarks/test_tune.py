@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import signal
 import time
 import tomllib
@@ -77,13 +78,14 @@ def test_every_evaluation_of_a_search(expected):
 
 
 def whole(found):
-    """What a command says and writes, without its times and the machine."""
+    """What a command says and writes, without its times, its day and the machine."""
     told = json.loads(Path("tuned.json").read_text()) if Path("tuned.json").exists() else {"evaluations": []}
     for name in ("started", "finished", "environment", "limit"):
         told.pop(name, None)
     evaluations = [{**one, "seconds": 0.0} for one in told.pop("evaluations")]
-    return "\n".join([found.out, found.err, *(f"{name}: {json.dumps(value)}" for name, value in told.items()),
+    text = "\n".join([found.out, found.err, *(f"{name}: {json.dumps(value)}" for name, value in told.items()),
                       *map(json.dumps, evaluations)])
+    return re.sub(r", \d{4}-\d\d-\d\d;", ", DATE;", text)
 
 
 def test_the_command_tunes_on_runs_of_its_own_and_writes_an_entry(railstate, expected):
