@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -81,13 +82,13 @@ class Elementwise(Estimator):
         super().start(model, runs, random)
         self.rejected = np.zeros((model.ny, runs), dtype=bool)
 
+    @abstractmethod
     def linear(self, measurement: Measurement) -> tuple[Array, Array, Array]:
         """The measurement as a linear one: what is predicted (ny, S), h (ny, nx, S or 1), R (ny, ny, S or 1)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def weigh(self, reading: Reading) -> Weighed:
         """What becomes of a reading. The plain Kalman filter takes each as it is told."""
-        raise NotImplementedError
 
     def taken(self, reading: Reading, weighed: Weighed) -> None:
         """After a reading has been taken in: for filters that change their state again."""

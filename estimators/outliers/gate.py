@@ -4,6 +4,7 @@ Both have a way back (`reopen`), see `Reopening`."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated
 
 import numpy as np
@@ -28,9 +29,9 @@ class _Reopened(ElementwiseKalman):
             return self.judge(reading)
         return Weighed(reading.noise, np.ones_like(reading.residual), np.zeros(len(reading.residual), dtype=bool))
 
+    @abstractmethod
     def judge(self, reading: Reading) -> Weighed:
         """What becomes of a reading of a sensor that is judged."""
-        raise NotImplementedError
 
     def taken(self, reading: Reading, weighed: Weighed) -> None:
         """Where the rejected readings agree: the state's element that the reading speaks of goes there by their mean

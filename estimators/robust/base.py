@@ -4,6 +4,7 @@ Error: e+ = (I - K C)[(A + M Delta N) e + G w] - K v with |Delta| <= 1, |w_i| <=
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -156,12 +157,13 @@ class Robust(Estimator):
         """R (ny, ny, S or 1): diag(v_bar^2), or second moments of the noise (F3)."""
         return self._still
 
+    @abstractmethod
     def _find(self, C: Array, received: Mask, R: Array) -> None:
-        raise NotImplementedError
+        """K and the bound of each run, or a verdict why there are none."""
 
+    @abstractmethod
     def _region(self) -> Array:
         """Pi (nx, nx, S), the error region in which kappa is sought."""
-        raise NotImplementedError
 
     def _of_run(self, C: Array, run: int) -> tuple[Array, Array, Array, Array]:
         """A (nx, nx), N with kappa (nx,), disturbance columns (nx, nw), C (ny, nx) of one run, for the convex forms."""

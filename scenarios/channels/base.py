@@ -4,6 +4,7 @@ A channel draws from the stream "channel" and streams beside it only, so that on
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -54,9 +55,9 @@ class Base(Strict):
     def check(self, ny: int, field: str = "channel") -> None:
         """Raise ValueError where the channel does not fit ny measurement elements."""
 
+    @abstractmethod
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         """Which of ny elements arrive at each of the steps of each run, (steps, ny, S)."""
-        raise NotImplementedError
 
     def carried(self, random: RunRandom, sent: Sent) -> Arrived:
         """What arrives of what is sent, before the receiver makes up for silence."""
@@ -68,9 +69,9 @@ class Base(Strict):
         arrived = self.carried(streams("channel"), sent)
         return held(arrived) if self.silent == "hold" else arrived
 
+    @abstractmethod
     def transmitted(self) -> Reception:
         """What an estimator may know of who transmits, whatever the receiver does."""
-        raise NotImplementedError
 
     def reception(self) -> Reception:
         """What an estimator may know of the channel."""

@@ -4,6 +4,7 @@ Arrays are those of whole runs, (K, .., S): K steps, S runs."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -74,9 +75,9 @@ class Base(Strict):
         """Raise ValueError where the fault does not fit a setting."""
         sensing.chosen(self.sensors)
 
+    @abstractmethod
     def apply(self, random: RunRandom, readings: Readings) -> None:
         """Make the readings faulty, drawing from the entry's own stream."""
-        raise NotImplementedError
 
     def ends(self) -> float:
         """When it is over for good, s; infinite where it never is."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 from railstate.scenarios.channels import Channel, Sent
+from railstate.scenarios.channels.gilbert_elliott import bursts
 from railstate.scenarios.files import load
 from railstate.scenarios.model import Reception
 from railstate.scenarios.randomness import Streams
@@ -188,18 +192,61 @@ def test_what_is_known_of_the_usual_channels():
 
 
 class Drawn:
-    """Draws that are all the same."""
+    """Draws one after the other, the same in both runs."""
 
     runs = (0, 1)
 
-    def __init__(self, value):
-        self.value = value
+    def __init__(self, *values):
+        self.values = list(values)
 
     def uniform(self, low, high, *shape):
-        return np.full((*shape, 2), low + (high - low) * self.value)
+        assert (low, high) == (0.0, 1.0)
+        return np.repeat(np.array([self.values.pop(0) for _ in range(math.prod(shape))]).reshape(shape)[..., None], 2,
+                         axis=-1)
+
+    def integers(self, low, high, *shape):
+        return np.full((*shape, 2), low)
 
 
-@pytest.mark.parametrize(("p", "draw", "arrives"), [(1.0, 1 - 2**-53, True), (0.5, 0.5, False),
-                                                    (0.5, 0.5 - 2**-53, True)])
-def test_a_packet_arrives_with_just_the_probability_it_says(p, draw, arrives):
-    assert (channel(kind="bernoulli", p=p).draw(Drawn(draw), 3, 2) == arrives).all()
+LESS = 2**-53
+
+
+def test_what_is_drawn_at_the_edges():
+    """Each with just the probability it says: a draw lies in [0, 1), and one that is p is no arrival."""
+    def first(draws, steps=0, **table):
+        return channel(**table).draw(Drawn(*draws), steps or len(draws), 2)[:, 0, 0].tolist()
+
+    assert first([1 - LESS], kind="bernoulli", p=1.0) == [True]
+    assert first([0.5, 0.5 - LESS], kind="bernoulli", p=0.5) == [False, True]
+    assert first([0.25, 0.25 - LESS], kind="csma", p=0.5, trains=2) == [False, True]
+    moving = channel(kind="csma", trains=[2, 4], traffic="birth-death", rate=0.25)
+    draws = [0.25, 0.25 - LESS, 0.75, 0.75 + LESS, 0.9, 0.0, 0.0, 0.0, 0.5]
+    assert moving.contending(Drawn(*draws), 9)[:, 1].tolist() == [2, 3, 3, 2, 2, 3, 4, 4, 4]
+    assert bursts(Drawn(0.25, 0.25, 0.25 - LESS, 0.75, 0.75 - LESS), 5, 0.25, 0.75)[:, 0].tolist() == [
+        False, False, True, True, False]
+    nodes = [[0], [1]]
+    assert first([0.25, 0.25 - LESS], kind="random-access", p=[0.25, 0.75], nodes=nodes) == [False, True]
+    chain = [[0.25, 0.75], [0.5, 0.5]]
+    assert first([0.1, 0.25, 0.5 - LESS, 0.25 - LESS, 0.3, 0.5], kind="markov-random-access", transition=chain,
+                 nodes=nodes) == [True, False, True, True, False, False]
+    assert channel(kind="markov-random-access", stay=0.25).chain(1).tolist() == [[1.0]]
+    assert channel(kind="markov-random-access", stay=0.25).chain(4)[0].tolist() == [0.25] * 4
+    late = channel(kind="delay", steps=2, loss={"kind": "bernoulli", "p": 0.5})
+    assert late.draw(Drawn(0.5, 0.4), 2, 1)[:, 0, 0].tolist() == [False, True]
+    with pytest.raises(NotImplementedError):
+        channel(kind="try-once-discard").draw(Drawn(), 1, 1)
+
+
+def test_who_carries_what_to_the_letter():
+    """A node without a reading does not contend, nor does one of which only some readings are there send the rest."""
+    y = np.array([[1.0, 5.0, 2.0], [1.0, 5.0, 9.0], [3.0, 5.0, 9.0], [3.0, 7.5, 9.0]])[..., None]
+    there = np.array([[0, 1, 1], [1, 0, 0], [0, 0, 0], [1, 1, 1]], dtype=bool)[..., None]
+    kind = channel(kind="try-once-discard", nodes=[[0], [1, 2]])
+    found = kind.carry(streams(1), Sent(y, there, np.array([1.0, 2.0, 10.0])))
+    assert found.received[..., 0].astype(int).tolist() == [[0, 1, 1], [1, 0, 0], [0, 0, 0], [1, 0, 0]]
+    for table, ny, said in (
+            ({"kind": "round-robin", "nodes": [[0], [2]]}, 2, "elements 0, 2, but there are 2: each element 0 .. 1"),
+            ({"kind": "markov-random-access", "transition": [[1.0]]}, 2, "x.transition has 1 rows for 2 nodes"),
+            ({"kind": "delay", "loss": {"kind": "round-robin", "nodes": [[1]]}}, 1, "x.loss.nodes list")):
+        with pytest.raises(ValueError, match=re.escape(said)):
+            channel(**table).check(ny, "x")
