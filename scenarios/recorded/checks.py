@@ -54,8 +54,7 @@ def examine(time: Array, columns: Mapping[str, Array], told: Mapping[str, Array]
             yield from _counter(role, at, clean)
         if role in (*PLACES, *PACES, "acceleration"):
             yield from _frozen(role, at, clean)
-    if len(time) > 3:
-        yield from against(time, columns)
+    yield from against(time, columns)
 
 
 def _clock(time: Array) -> Iterator[Finding]:
@@ -93,8 +92,6 @@ def _no_values(role: str, values: Array, there: Index, time: Array) -> Iterator[
                       f"such rows): missing = [{values[huge[0]]:g}] takes it as no value"), huge
     marks = {value: there[present == value] for value in SENTINELS if present.min() <= value <= present.max()}
     marks = {value: rows for value, rows in marks.items() if len(rows)}
-    if not marks:
-        return
     others = present[~np.isin(present, list(marks)) & (np.abs(present) < HUGE)]
     low, high = (others.min(), others.max()) if len(others) else (0.0, 0.0)
     reach = max(high - low, 1.0)

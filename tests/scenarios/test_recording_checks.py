@@ -31,7 +31,7 @@ def spoilt() -> dict[str, tuple[Array, Columns, Columns]]:
     """Recordings by what is wrong with them: time, columns, what sensors tell."""
     found: dict[str, tuple[Array, Columns, Columns]] = {}
 
-    def add(name: str, change: Callable[[Columns], None] | None = None, clock: Callable[[Array], Array] | None = None,
+    def add(name: str, change: Callable[[Columns], object] | None = None, clock: Callable[[Array], Array] | None = None,
             told: Columns | None = None, steps: int = 400) -> None:
         time, columns = ride(steps)
         if change is not None:
@@ -49,6 +49,45 @@ def spoilt() -> dict[str, tuple[Array, Columns, Columns]]:
     add("a gap", clock=lambda time: time + 11.0 * (time > 250))
     add("no gap yet", clock=lambda time: time + 9.0 * (time > 250))
     add("gaps", clock=lambda time: time + 20.0 * (time > 150) + 30.0 * (time > 300))
+    for name, clock in {
+            "just a gap": lambda time: time + 10.0 * (time > 250), "steps of 0.25 s": lambda time: 0.25 * time,
+            "a gap of 5 s": lambda time: 0.25 * time + 4.75 * (time > 250),
+            "a gap over 5 s": lambda time: 0.25 * time + 5.0 * (time > 250),
+            "minutes": lambda time: 100.0 * time, "longer": lambda time: 200.0 * time, "Ms": lambda time: 1e6 * time,
+            "an hour, nearly": lambda time: time + 3658.0 * (time > 120),
+            "no hour": lambda time: time + 3659.0 * (time > 120),
+            "an hour of steps": lambda time: 190.0 * time + 3450.0 * (time > 120),
+            "an hour of many": lambda time: 170.0 * time + 3450.0 * (time > 120),
+            "just even": lambda time: time - 0.5 * (time % 2),
+            "few long": lambda time: time + 3.0 * np.floor(time / 18),
+            "few short": lambda time: time - 0.8 * np.floor(time / 16)}.items():
+        add(name, clock=clock, steps=1000 if name == "minutes" else 400)
+    for value in (-9999.0, 5000.0, 9e8, 1e9):
+        add(f"all but one {value:g}", lambda columns, value=value: put(columns, "position", slice(1, None), value))
+        add(f"none but {value:g}", lambda columns, value=value: put(columns, "position", slice(None), value))
+    for left in (2, 3, 4):
+        add(f"{left} there, of them two huge", lambda columns, left=left: [
+            put(columns, "position", slice(left, None), np.nan), put(columns, "position", slice(2), 2e9)])
+        add(f"{left} there, far apart", lambda columns, left=left: [
+            put(columns, "position", slice(left, None), np.nan), put(columns, "position", 1, 5e3)])
+    add("three sound", lambda columns: [put(columns, "position", slice(4, None), np.nan), put(
+        columns, "position", 0, 2e9), put(columns, "position", 3, 5e3)])
+    for role in ("position", "balise", "reference_position"):
+        for pace in (0.3, 0.29):
+            add(f"{role} at {pace} m/s", lambda columns, role=role, pace=pace: columns.update(
+                {role: pace * np.arange(400.0)}))
+    add("5 m in all", lambda columns: put(columns, "position", slice(None), np.linspace(0.0, 5.0, 400)))
+    add("slow for a minute", lambda columns: put(columns, "position", slice(None), np.linspace(0.0, 6.0, 61)), steps=61)
+    add("slow for longer", lambda columns: put(columns, "position", slice(None), np.linspace(0.0, 6.0, 62)), steps=62)
+    for pace in (3.0, 3.5):
+        for name, place in (("then", np.minimum(pace * np.arange(120.0), pace * 60)),
+                            ("before", np.maximum(pace * np.arange(120.0), pace * 60))):
+            found[f"still {name} at {pace} m/s"] = np.arange(120.0), {"position": place}, {}
+    for value in (-9999.0, 9999.0):
+        for least, most in ((9100.0, 9900.0), (8000.0, 9000.0)):
+            add(f"{value:g} beside {least:g} .. {most:g}", lambda columns, value=value, least=least, most=most: [
+                put(columns, "position", slice(None), np.sign(value) * np.linspace(least, most, 400)),
+                put(columns, "position", 7, value)])
     add("uneven", clock=lambda time: time - 0.8 * (time % 2))
     for role in ("position", "speed", "odometer", "acceleration", "reference_position"):
         add(f"{role} huge", lambda columns, role=role: put(columns, role, 77, 1e12))
@@ -58,7 +97,7 @@ def spoilt() -> dict[str, tuple[Array, Columns, Columns]]:
         add(f"{role} jumps once", lambda columns, role=role: put(columns, role, 100, 60.0, True))
         add(f"{role} jumps for good", lambda columns, role=role: put(columns, role, slice(100, None), 300.0, True))
         add(f"{role} jumps thrice", lambda columns, role=role: [
-            put(columns, role, k, 500.0, True) for k in (60, 100, 300)] and None)
+            put(columns, role, k, 500.0, True) for k in (60, 100, 300)])
         for name, where in (("at first", slice(0, 90)), ("inside", slice(60, 100)), ("at last", slice(310, None)),
                             ("not long", slice(60, 90)), ("just long", slice(60, 91))):
             add(f"{role} frozen {name}", lambda columns, role=role, where=where: put(
