@@ -77,18 +77,20 @@ class Reach:
 
 
 class Tests:
-    """What `Reach` has written down: which tests reach a line, and how long each takes."""
+    """What `Reach` has written down: which tests reach a line, and how long each takes. What failed there, without a
+    fault, is asked nothing."""
 
     def __init__(self, folder: Path, tree: Path, there: Collection[str]) -> None:
-        self.tree, self.there, self.text, self.names = tree, there, texts(tree), list[str]()
+        self.tree, self.text, self.names = tree, texts(tree), list[str]()
         self.trees = {path: ast.parse(text) for path, text in self.text.items()}
         sources = {str(path.relative_to(tree)): path.read_text(encoding="utf-8")
                    for path in (tree / "tests").rglob("test_*.py")}
         self.whole = {f"{path}::{name}" for path, text in sources.items() for name in WHOLE.findall(text)}
-        self.seconds: list[float] = []
+        self.seconds, failed = list[float](), set[str]()
         self.lines: dict[str, dict[int, set[int]]] = {}
         for path in sorted((folder / "home").glob("reach*.json")):
             found, before = json.loads(path.read_text()), len(self.names)
+            failed.update(found["failed"])
             self.names += [name for name, _ in found["tests"]]
             self.seconds += [seconds for _, seconds in found["tests"]]
             gone = {number for number, (name, _) in enumerate(found["tests"]) if name not in there}
@@ -97,12 +99,13 @@ class Tests:
                 for line, numbers in lines.items():
                     if (place := now.get(int(line))) is not None:
                         mine.setdefault(place, set()).update(number + before for number in set(numbers) - gone)
-        self._beside(sources)
+        failed -= set(self.names)
+        self.there = set(there) - failed
+        self._beside(sources, {name.partition("[")[0] for name in failed.union(self.names)})
 
-    def _beside(self, sources: dict[str, str]) -> None:
+    def _beside(self, sources: dict[str, str], known: set[str]) -> None:
         """Which words stand in each test and in what it calls of its file, and tests of which nothing is written down,
         with what their files import."""
-        known = {name.partition("[")[0] for name in self.names}
         self.words: dict[str, set[str]] = {}
         self.unknown: dict[str, str] = {}
         self.apart = set[str]()

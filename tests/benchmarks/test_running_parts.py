@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.running import latency
 from railstate.benchmarks.running.machinery import SHARE, Machinery, machinery
+from railstate.benchmarks.running.result import OTHERS, Result, lost, sound
+from railstate.estimators.interface import Status
 from railstate.estimators.memento import Memento
 from railstate.scenarios.errors import InputError
 
@@ -147,3 +150,37 @@ def test_a_memento_puts_back_all_that_an_estimator_changes() -> None:
         assert thing.items == [array, {"k": [1]}] and thing.names == {"s"}
         assert thing.pair[0].tolist() == [0.0, 0.0] and thing.pair[1] == [5]
         assert thing.table.keys() == {"a"} and thing.table["a"].tolist() == [1.0]
+
+
+def test_what_a_process_sends_back_has_the_form_of_a_result() -> None:
+    """Every way not to: columns that lack, are twice there or of another type, what is empty, what belongs to other
+    runs, statuses nobody knows."""
+    task: Any = SimpleNamespace(cell=SimpleNamespace(scenario="s", variant="v"), labels=("a", "b"), runs=(0, 1))
+    rows = lost(task, Status.failed, "why").rows
+
+    def table(name: str, estimator: str) -> pa.Table:
+        return pa.table({key: pa.array([estimator if key == "estimator" else "sv"[key == "variant"]] if pa.types.
+                                       is_string(kind) else [0], kind) for key, kind in OTHERS[name].items()})
+
+    for found in ({"rows": rows}, {"rows": rows, "curves": None, "kept": table("kept", "b")},
+                  {"rows": rows.append_column("rmse:x:", pa.array([None, 1.0, 2.0, 3.0]))},
+                  {"rows": rows, "curves": table("curves", "")},
+                  {"rows": rows.append_column("steps", pa.array([None, 1, 2, 3], pa.int32()))},
+                  {"rows": rows.take([3, 1, 0, 2])}):
+        assert sound(task, found) == Result(task, found["rows"], found.get("curves"), found.get("kept"))
+    bad = [rows.append_column("steps", pa.array([1.0] * 4)), rows.append_column("note", pa.array([1.0] * 4)),
+           rows.append_column("rmse:x:", pa.array([1] * 4)), rows.append_column("run", rows["run"]),
+           rows.drop_columns("exception"), rows.slice(1), pa.concat_tables([rows, rows]), rows.to_pydict(), None,
+           *(rows.set_column(k, rows.column_names[k], pa.array([None] * 4, rows.schema.field(k).type))
+             for k in range(8)),
+           *(rows.set_column(k, rows.column_names[k], pa.array(["else"] * 4)) for k in (0, 1, 2, 3, 4, 7))]
+    others = [(name, damaged) for name in OTHERS for good in [table(name, "a")]
+              for damaged in (good.slice(1).append_column("x", pa.nulls(0)).drop_columns("step"), good.to_pydict(),
+                              table(name, "c"), good.append_column("step", good["step"]),
+                              *(good.set_column(k, key, pa.nulls(1, good.schema.field(k).type))
+                                for k, key in enumerate(good.column_names)),
+                              *(good.set_column(good.column_names.index(key), key, pa.array(["else"]))
+                                for key in ("scenario", "variant", "estimator", "time")))]
+    assert [sound(task, found) for found in (None, [rows], {}, *({"rows": one} for one in bad),
+                                             *({"rows": rows, name: one} for name, one in others))] == [None] * (
+                                                 3 + len(bad) + len(others))
