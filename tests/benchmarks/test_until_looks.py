@@ -75,3 +75,7 @@ def test_each_look(writable: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     until.complete_until(plan, rule, Path("x"), machinery, "the command")
     assert len(written) == writable  # the same reasons again: nothing is written
     assert calls[3] == ("abc", 10, {"timing": True, "retry": (), "overwrite": False})
+    enough.update(b=10, c=20)
+    calls.clear()
+    until.complete_until(plan, rule, Path("x"), machinery, "the command")
+    assert [call[:2] for call in calls] == [("abc", 10), ("c", 20)]  # nobody waits for another look
