@@ -113,9 +113,6 @@ class Published(Strict):
 
     def under(self, where: Mapping[str, Any]) -> Published:
         """The cell with its {names} filled in."""
-        if not self.names:
-            return self
-
         def fill(value: Any) -> Any:
             if not isinstance(value, str) or "{" not in value:
                 return value

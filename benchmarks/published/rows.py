@@ -26,8 +26,6 @@ class Found:
 
     def times(self, factor: float) -> Found:
         """In another unit."""
-        if factor == 1:
-            return self
         return Found(self.value * factor, self.error * abs(factor), self.spread * abs(factor),
                      None if self.runs is None else self.runs * factor)
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 import json
 import re
+import sys
 import time
 
 import pandas as pd
 import pytest
+import rich.progress
 from railstate.benchmarks.store.folder import Store
 from railstate.benchmarks.telling import console
+from railstate.benchmarks.telling.cleaning import Cleaned
 from railstate.benchmarks.telling.figures.data import Results
 from railstate.benchmarks.telling.marks import ASCII, MARKS
 from railstate.benchmarks.telling.results import print_results, print_results_json
@@ -96,3 +99,39 @@ def test_a_log_gets_a_line_a_minute_and_quiet_none(monkeypatch: pytest.MonkeyPat
         assert (told == []) == quiet
         assert all(line.startswith("0 min: 4/10 rows, cart/calm, about 0 min left") for line in told)
     console.hush(False)
+
+
+class Terminal(io.StringIO):
+    """One that shows colours."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_colours_and_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(f"sys.{name}", Cleaned(Terminal()))
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    text = "[bold]12[/bold] :smile: " + "word " * 50
+    assert console.columns() == 200
+    console.say(("★ best", "bold green"), f" {text}\x1b[2J")
+    monkeypatch.setenv("NO_COLOR", "1")
+    console.say(("★ best", "bold green"), f" {text} ")
+    assert sys.stdout.getvalue() == f"\x1b[1;32m★ best\x1b[0m {text}\\x1b[2J\n★ best {text}".rstrip() + "\n"  # type: ignore
+    monkeypatch.setattr(rich.progress.Task, "elapsed", property(lambda _: 2.0))
+    monkeypatch.delenv("NO_COLOR")
+    for total in (0, 10):
+        with console.progress(total, "rows") as advance:
+            advance(4, "cart")
+            advance(3, "cart/calm")
+        shown = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", sys.stderr.getvalue())  # type: ignore[attr-defined]
+        last = " ".join(re.sub("[━╸╺]+", "|", shown).split("\r")[-2].split() if total else shown)
+        assert last == ("cart/calm | 7/10 rows 4/s 0:00:02 left 0:00:01" if total else "")
+
+
+@pytest.mark.parametrize(("columns", "most"), [(10, 40), (100, 100), (120, 120), (121, 120)])
+def test_columns_of_what_is_no_terminal(columns: int, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert console.columns() == most

@@ -1,0 +1,81 @@
+"""Rows as published numbers take them, by formulas of the test's own; what Zou et al.'s bounds are asked of."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from railstate.benchmarks.published.computed import zou2018
+from railstate.benchmarks.published.rows import Book, Found, ratio, reduction, root
+from railstate.scenarios.errors import Infeasible, InputError
+
+NAN = np.nan
+
+
+def same(found: Found, value: float, error: float, spread: float, runs: list[float]) -> None:
+    assert (found.value, found.error, found.spread) == pytest.approx(
+        (value, error, spread), rel=1e-12, abs=1e-15, nan_ok=True)
+    np.testing.assert_allclose(found.runs, runs, rtol=1e-12)  # type: ignore[arg-type]
+
+
+def test_a_book_of_rows() -> None:
+    book = Book(pd.DataFrame({
+        "scenario": "s", "variant": "v", "estimator": ["a", "a", "b", "a"], "run": [2, 0, 0, 1],
+        "mae:xy:m": 9.0, "mae:x:m": [3.0, 1.0, 5.0, NAN], "rmse:x:m": [4.0, 3.0, 5.0, NAN], "bias:x:m": NAN}))
+    assert book.values("s", "v", "a", "mae", "x").tolist()[::2] == [1.0, 3.0]
+    same(book.found("s", "v", "a", "mae", "x"), 2.0, 1.0, 2**0.5, [1.0, NAN, 3.0])
+    same(book.found("s", "v", "b", "mae", "x"), 5.0, NAN, 0.0, [5.0])
+    assert book.found("s", "v", "a", "rmse", "x").value == pytest.approx(12.5**0.5)
+    same(book.found("s", "v", "a", "mae", "x").times(-2.0), -4.0, 2.0, 2 * 2**0.5, [-2.0, NAN, -6.0])
+    for where in (("s", "v", "a", "bias", "x"), ("s", "v", "c", "mae", "x"), ("s", "v", "a", "mae", "z")):
+        for one in (book, Book(pd.DataFrame())):
+            with pytest.raises(InputError, match=f"published: {'/'.join(where[:3])} has no {':'.join(where[3:])}"):
+                one.values(*where)
+
+
+def test_ratios_and_their_errors() -> None:
+    a, b = np.array([1.0, 4.0, NAN, 7.0, 2.0]), np.array([2.0, 4.0, 1.0, 6.0, np.inf])
+    spread = np.std([1 - 2.0, 4 - 4.0, 7 - 6.0], ddof=1) / 4.0
+    runs = [0.5, 1.0, NAN, 7 / 6, NAN]
+    same(ratio(a, b), 1.0, spread / 3**0.5, spread, runs)
+    same(ratio(a, -b), -1.0, spread / 3**0.5, spread, [-one for one in runs])
+    same(reduction(a, 2 * b), 0.5, spread / 2 / 3**0.5, spread / 2, [1 - one / 2 for one in runs])
+    same(root(ratio(4 * a, b)), 2.0, spread / 3**0.5, spread, [2 * one**0.5 for one in runs])
+
+
+def test_what_is_asked_of_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    gain, told = np.arange(144.0).reshape(12, 12), list[Any]()
+
+    def bound(what: str, value: float) -> Any:
+        def found(system: Any, *given: Any) -> Any:
+            told.append((what, system, *given))
+            return SimpleNamespace(bound=value, K=gain + 1.0, gamma_bar=value)
+        return found
+
+    for what, value in (("ultimate_bound", 2.0), ("certify", 3.0), ("corollary2", 0.9)):
+        monkeypatch.setattr(zou2018, what, bound(what, value))
+    monkeypatch.setattr(zou2018, "read_gain", lambda name: gain if name == "zou2018_gain.csv" else None)
+    made = {forces: zou2018._certificates.__wrapped__(forces) for forces in ("remark-2", "dominant")}
+    assert zou2018._greatest_decay.__wrapped__() == 0.9
+    assert [(what, *given) for what, _, *given in told] == [
+        ("ultimate_bound", 0.98), ("certify", gain, 0.98)] * 2 + [("corollary2", None)]
+    systems = [system for _, system, *_ in told]
+    assert systems[0].noise_root.any() and systems[4].noise_root.any() and not systems[2].noise_root.any()
+    for one in systems:
+        assert (one.A == systems[0].A).all() and (one.delta == systems[0].delta).all()
+    monkeypatch.setattr(zou2018, "_certificates", lambda forces: made[forces])
+    book: Any = None
+    assert zou2018.zou_excess(book, "dominant") == Found(1.5) and zou2018.zou_solvable(book) == Found(1.0)
+    for columns, part in (("position", gain[:, :6]), ("velocity", gain[:, 6:])):
+        assert zou2018.zou_distance(book, "remark-2", columns).value == pytest.approx(
+            72**0.5 / np.sqrt((part**2).sum()))
+
+    def none(forces: str) -> Any:
+        raise Infeasible("no")
+
+    for found in (none, lambda forces: (SimpleNamespace(bound=np.inf),)):
+        monkeypatch.setattr(zou2018, "_certificates", found)
+        assert zou2018.zou_solvable(book) == Found(0.0)
