@@ -15,7 +15,20 @@ from .interface import Estimate, Estimator, Room, Walk
 from .kernels.walks import walk_held
 
 
-class Direct(Estimator):
+class _Mean(Estimator):
+    """What they share: a mean that is all they say."""
+
+    honours = ("covariance",)
+
+    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
+        super().start(model, runs, random)
+        self._mean = np.array(model.initial_mean, dtype=float)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self._mean)
+
+
+class Direct(_Mean):
     """The last received measurement, held: x = C^-1 y, with each element of y the last one received.
 
     Holds the start until a run's first packet; predicts nothing. Needs a constant, square, invertible C."""
@@ -24,7 +37,6 @@ class Direct(Estimator):
     summary = "the last received measurement, held (C must be invertible)"
     source = "the usual practice that Zou et al., IEEE T-ITS 2018, section V, compare with"
     needs = ("linear",)
-    honours = ("covariance",)
     predicts = False
 
     @classmethod
@@ -44,7 +56,6 @@ class Direct(Estimator):
         super().start(model, runs, random)
         assert model.linear is not None
         self._inverse: Array = np.ascontiguousarray(np.linalg.inv(model.linear.C(0)), dtype=float)
-        self._mean = np.array(model.initial_mean, dtype=float)
         self._held, self._room = product(model.linear.C(0), self._mean), Room()
 
     def predict(self, u: Array, interval: Interval) -> None:
@@ -62,21 +73,13 @@ class Direct(Estimator):
         walk_held(self._inverse, course.y, course.received, self._held, self._mean, means)
         return Walk(means)
 
-    def estimate(self) -> Estimate:
-        return Estimate(self._mean)
 
-
-class DeadReckoning(Estimator):
+class DeadReckoning(_Mean):
     """The design model run forward from the start; measurements are ignored."""
 
     family = "No filter"
     summary = "prediction only: the design model without measurements"
     source = "the first-principles baseline"
-    honours = ("covariance",)
-
-    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
-        super().start(model, runs, random)
-        self._mean = np.array(model.initial_mean, dtype=float)
 
     def predict(self, u: Array, interval: Interval) -> None:
         self._mean = self.model.transition(self._mean, u, interval)
@@ -84,22 +87,14 @@ class DeadReckoning(Estimator):
     def update(self, measurement: Measurement) -> None:
         """Nothing: measurements are ignored."""
 
-    def estimate(self) -> Estimate:
-        return Estimate(self._mean)
 
-
-class Truth(Estimator):
+class Truth(_Mean):
     """The oracle: the first nx entries of the truth vector. The design model's start before the first step, and what it
     was where a truth is not known."""
 
     summary = "oracle: the true state"
     source = "not an estimator: the bound that no estimator passes"
-    honours = ("covariance",)
     oracle = True
-
-    def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
-        super().start(model, runs, random)
-        self._mean = np.array(model.initial_mean, dtype=float)
 
     def reveal(self, truth: Array) -> None:
         known, own = truth[:self.model.nx], self._mean.copy()
@@ -111,6 +106,3 @@ class Truth(Estimator):
 
     def update(self, measurement: Measurement) -> None:
         """Nothing: `reveal` has told it all."""
-
-    def estimate(self) -> Estimate:
-        return Estimate(self._mean)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +18,6 @@ from ..scenarios.model import DesignModel
 from ..scenarios.randomness import RunRandom
 from ..scenarios.world import Event
 from .interface import Estimate, Estimator, Innovation
-
-Late = Literal["drop", "as-new", "rewind"]
 
 
 class Mailbox:

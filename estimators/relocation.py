@@ -89,12 +89,6 @@ class Relocation(Estimator):
         self._covariance[0, 0] = self._fixed + (self.parameters.scale * self._gone) ** 2
         return Estimate(self._mean, covariance=self._covariance)
 
-    def snapshot(self) -> Any:
-        return self._mean.copy(), self._fixed.copy(), self._gone.copy()
-
-    def restore(self, snapshot: Any) -> None:
-        self._mean, self._fixed, self._gone = (part.copy() for part in snapshot)
-
 
 @kernel
 def _walk(f, data, noise, seconds, u, y, received, variance, rows, scale, mean, fixed, gone, means, covariances):

@@ -23,11 +23,6 @@ class Asked(Strict):
     accept: Annotated[Share, key("share that must keep it", "1")] = 0.99
     per: Annotated[Literal["runs", "time"], key("of runs (each over its whole trip), or of time")] = "runs"
 
-    @property
-    def quantity_needed(self) -> str:
-        """The scored quantity whose error it looks at."""
-        return str(getattr(self, "quantity", ""))
-
 
 class Allowance(Asked):
     """|error of the distance travelled since the last reference| <= constant + share x that distance.

@@ -81,11 +81,6 @@ class Setting(ABC, Generic[ConfigT]):
         self.config = config
 
     @property
-    def variant_hint(self) -> str:
-        """A few words on what is special (printed by `railstate list`); the title unless a setting says more."""
-        return self.config.title
-
-    @property
     def notes(self) -> list[str]:
         """What a reader of the tables must know: the scenario's notes, and what a setting finds in its files."""
         return self.config.notes

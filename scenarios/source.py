@@ -39,12 +39,8 @@ def source_hash(*modules: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def modules_of(*modules: str) -> list[str]:
-    """The modules and data files that `source_hash` covers."""
-    return sorted(_closure(modules))
-
-
 def _closure(modules: tuple[str, ...]) -> dict[str, bytes]:
+    """What is hashed of the modules and data files that `source_hash` covers, by their names."""
     found: dict[str, bytes] = {}
     homes = {name.partition(".")[0] for name in modules}
     waiting = list(modules)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -75,7 +73,7 @@ def compare(
         results = api.run(scenario or _fitting(a, b, seed, Catalogue(plugin)), [a, b], runs=runs, seed=seed, jobs=jobs,
                           overrides=options.overrides(set_), plugins=plugin, folder=out, keep=0, quiet=not show,
                           batch=batch, backend=backend, scheduler=scheduler, timeout=timeout, memory=memory,
-                          command=shlex.join(["railstate", *sys.argv[1:]]))
+                          command=options.command())
         found, timing = results.comparisons(a, b), results.timing()
         speed = {} if timing is None else speed_ratio(*(timing[timing["estimator"] == name].assign(estimator="")
                                                         for name in (a, b)))

@@ -5,9 +5,8 @@ A design is a scenario's estimators' own `design` step; a certificate is Theorem
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -34,7 +33,7 @@ from ..planning.catalogue import Catalogue
 from ..planning.naming import find_one
 from ..running.drive import prepare
 from ..telling.console import print_table
-from .options import Estimators, Sets, labels, names_in, overrides
+from .options import Estimators, Sets, labels, names_in, overrides, written
 
 Theta = Annotated[float | None, typer.Option(help="Decay asked of the certificate, between 0 and 1 (the scenario's).")]
 Delta = Annotated[float | None, typer.Option(help="sqrt(sum delta_i^2) in newtons (the scenario's resistive law).")]
@@ -77,11 +76,8 @@ def design(
         entry = setting.config.estimators.get(label) or EstimatorEntry(plugin=label)
         entry = entry.model_copy(update={"parameters": catalogue.parameters(
             entry.plugin, entry.parameters, f"{name}: estimators.{label}.parameters")})
-        if catalogue.own(entry.plugin):
-            cls = estimator_class(entry.plugin, name)
-            found = _designed(setting, name, variant, cls, entry)
-        else:
-            found = _designed_apart(setting, name, variant, catalogue, entry)
+        found = (_designed(setting, name, variant, estimator_class(entry.plugin, name), entry)
+                 if catalogue.own(entry.plugin) else _designed_apart(setting, name, variant, catalogue, entry))
         if found.row:
             rows.append({"estimator": label, **found.row})
         if found.gain is not None:
@@ -99,13 +95,13 @@ def design(
         print_table(f"Design of {label} on {name}/{variant}", pd.DataFrame(
             [{"what": what, "value": value} for what, value in _lines(other)]))
     for label, gain in gains.items():
-        _print_gain(f"Gain of {label}", gain)
+        print_table(f"Gain of {label}", pd.DataFrame([
+            {"": f"row {i + 1}", **{f"{j + 1}": f"{value:.5g}" for j, value in enumerate(row)}}
+            for i, row in enumerate(gain)]))
         if out:
-            try:
+            with written("--out", out):
                 Path(out).mkdir(parents=True, exist_ok=True)
                 np.savetxt(Path(out) / f"{label}.csv", gain, delimiter=",", fmt="%.17g")
-            except OSError as error:
-                raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
 
 
 def certify(
@@ -138,13 +134,12 @@ def _fixed(gain: np.ndarray, **parameters: Any) -> EstimatorEntry:
     return EstimatorEntry(plugin="fixed-gain", parameters={"gain": gain.tolist(), **parameters})
 
 
-@dataclass(frozen=True)
-class _Designed:
+class _Designed(NamedTuple):
     """A row of the table with its gain; or whatever else a design tells, as nested names and values."""
 
     row: dict[str, str]
     gain: np.ndarray | None = None
-    other: dict[str, Any] = field(default_factory=dict)
+    other: dict[str, Any] = {}
 
 
 def _lines(found: dict[str, Any], path: str = "") -> list[tuple[str, str]]:
@@ -231,14 +226,14 @@ def _designed_apart(setting: Setting[Any], name: str, variant: str, catalogue: C
         found = process.call(_plain, setting, name, variant, entry)
     if isinstance(found, Ended):
         return _Designed({"bound": NONE, "status": found.reason})
-    return _Designed(found["row"], None if found["gain"] is None else np.array(found["gain"]), found["other"])
+    row, gain, other = found
+    return _Designed(row, None if gain is None else np.array(gain), other)
 
 
-def _plain(setting: Setting[Any], name: str, variant: str, entry: EstimatorEntry) -> dict[str, Any]:
+def _plain(setting: Setting[Any], name: str, variant: str, entry: EstimatorEntry) -> list[Any]:
     """A plug-in's design as plain data."""
     found = _designed(setting, name, variant, estimator_class(entry.plugin, name), entry)
-    plain = {"row": found.row, "gain": found.gain, "other": found.other}
-    return json.loads(json.dumps(plain, default=lambda value: np.asarray(value).tolist()))
+    return json.loads(json.dumps(found, default=lambda value: np.asarray(value).tolist()))
 
 
 def _prepare(setting: Setting[Any], name: str, variant: str, cls: type[Estimator],
@@ -299,10 +294,8 @@ def _losses(setting: Setting[Any], name: str, variant: str, shares: list[float],
     if plot:
         from ..telling.figures.losses import covariance_under_losses
 
-        try:
+        with written("--plot", plot):
             covariance_under_losses(found, threshold, f"Covariance under losses, {name}/{variant}").save(Path(plot))
-        except (OSError, ValueError) as error:
-            raise InputError(f"--plot {plot}: cannot be written: {error}") from None
 
 
 def _trade_off(setting: Setting[Any], name: str, variant: str, thetas: list[float], plot: str) -> None:
@@ -333,13 +326,5 @@ def _trade_off(setting: Setting[Any], name: str, variant: str, thetas: list[floa
     axes.set_xlabel("decay theta per step")
     axes.set_ylabel("certified bound on E |z~|^2")
     axes.grid(True, alpha=0.3)
-    try:
+    with written("--plot", plot):
         figure.savefig(plot)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--plot {plot}: cannot be written: {error}") from None
-
-
-def _print_gain(title: str, gain: np.ndarray) -> None:
-    rows = [{"": f"row {i + 1}", **{f"{j + 1}": f"{value:.5g}" for j, value in enumerate(row)}}
-            for i, row in enumerate(gain)]
-    print_table(title, pd.DataFrame(rows))

@@ -135,10 +135,8 @@ def _write(out: str, file: str, given: dict[str, Any], found: Mapping) -> None:
         text = re.sub(rf"(?ms)^\[variants\.{re.escape(variant)}\]\n.*?(?=^\[)", "", text)
     text = re.sub(r'(?m)^name = .*$', f"name = {json.dumps(name)}", text, count=1)
     text = re.sub(r'(?m)^\[plant\]\nkind = .*$', lambda _: plant.rstrip(), text, count=1)
-    try:
+    with use.written("--out", out):
         Path(out).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
     print(f"railstate run {out}" + "".join(f"\n{variant}: left out: {why[0]}" for variant, why in unfit.items()))
 
 

@@ -1,8 +1,12 @@
-"""The command-line words that several commands share: options, `key=value` overrides, plans made from them."""
+"""What several commands share: options, `key=value` overrides, the command as it was given, files that are written."""
 
 from __future__ import annotations
 
+import shlex
+import sys
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,6 +49,20 @@ Memory = Annotated[float, typer.Option("--memory", metavar="GB", min=0.0,
                                        help="Memory a plug-in's process may take (0: a share of the machine's).")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing: no tables, no progress.")]
+
+
+def command() -> str:
+    """The command as it was given, for a folder or a file to tell."""
+    return shlex.join(["railstate", *sys.argv[1:]])
+
+
+@contextmanager
+def written(flag: str, path: str) -> Iterator[None]:
+    """InputError of what cannot be written meanwhile."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise InputError(f"{flag} {path}: cannot be written: {getattr(error, 'strerror', error)}") from None
 
 
 def names_in(text: str) -> list[str]:

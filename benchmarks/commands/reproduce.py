@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +17,7 @@ from ..studies.complete import complete, default_folder
 from ..telling.cleaning import csv
 from ..telling.console import hush, print_json, print_table
 from ..telling.markup import to_latex, to_markdown
-from .options import Backend, Batch, Jobs, Json, Memory, Scheduler, Seed, Timeout
+from .options import Backend, Batch, Jobs, Json, Memory, Scheduler, Seed, Timeout, command
 
 RUNS, SEED = 400, 1
 """Those of the committed tables."""
@@ -57,7 +55,7 @@ def reproduce(
     frame = pd.DataFrame()
     if plan.cells:
         folder = Path(rows) if rows else default_folder(plan)
-        frame = complete(plan, folder, how, shlex.join(["railstate", *sys.argv[1:]]), timing=False).rows()
+        frame = complete(plan, folder, how, command(), timing=False).rows()
     done = reproduced(chosen, frame)
     store, summary, document = Store(out), tables.counts(done), tables.document(done, runs, seed)
     Path(out).mkdir(parents=True, exist_ok=True)

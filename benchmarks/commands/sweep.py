@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import shlex
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -33,81 +31,52 @@ from ..telling.markup import to_markdown
 from ..telling.rankings import records
 from ..telling.report.sweep import DESCRIPTION, VALUES, Arranged, Sweep
 from ..telling.wording import bracket, number, plus_minus, ratio, value_words
-from .options import (
-    Backend,
-    Balises,
-    Batch,
-    Estimators,
-    From,
-    Jobs,
-    Line,
-    Map,
-    Memory,
-    Missing,
-    Plugins,
-    Quality,
-    Recording,
-    Runs,
-    Scheduler,
-    Seed,
-    Sets,
-    Timeout,
-    To,
-    Track,
-    Train,
-    Without,
-    files,
-    labels,
-    meaning,
-    names_in,
-    overrides,
-    value,
-)
+from . import options as use
 
 
 def sweep(
     scenario: Annotated[str, typer.Argument(help="Built-in name, NAME/VARIANT, or a TOML file.")],
     over: Annotated[list[str], typer.Option(metavar="KEY=V1,V2,..", help="Key and values; twice for a grid.")],
-    estimators: Estimators = "",
-    runs: Runs = 100,
-    seed: Seed = 1,
-    jobs: Jobs = 0,
+    estimators: use.Estimators = "",
+    runs: use.Runs = 100,
+    seed: use.Seed = 1,
+    jobs: use.Jobs = 0,
     metric: Annotated[str, typer.Option(help="METRIC:QUANTITY,.. to print and plot; none: the scenario's table.")] = "",
     out: Annotated[str, typer.Option(help="Folder for rows, sweep.csv and plots.")] = "",
-    set_: Sets = [],  # noqa: B006
-    plugin: Plugins = [],  # noqa: B006
-    line: Line = "",
-    train: Train = "",
-    recording: Recording = [],  # noqa: B006
-    map_: Map = "",
-    quality: Quality = "",
-    missing: Missing = "",
-    track: Track = "",
-    balises: Balises = "",
-    from_: From = None,
-    to: To = None,
-    without: Without = [],  # noqa: B006
-    batch: Batch = 0,
-    backend: Backend = "local",
-    scheduler: Scheduler = "",
-    timeout: Timeout = 900.0,
-    memory: Memory = 0.0,
+    set_: use.Sets = [],  # noqa: B006
+    plugin: use.Plugins = [],  # noqa: B006
+    line: use.Line = "",
+    train: use.Train = "",
+    recording: use.Recording = [],  # noqa: B006
+    map_: use.Map = "",
+    quality: use.Quality = "",
+    missing: use.Missing = "",
+    track: use.Track = "",
+    balises: use.Balises = "",
+    from_: use.From = None,
+    to: use.To = None,
+    without: use.Without = [],  # noqa: B006
+    batch: use.Batch = 0,
+    backend: use.Backend = "local",
+    scheduler: use.Scheduler = "",
+    timeout: use.Timeout = 900.0,
+    memory: use.Memory = 0.0,
 ) -> None:
     """Run a scenario (its default variant unless one is named) at each value of a key; its requirements go into one
     table over all of them."""
     axes: dict[str, list[Any]] = {}
     for key, values in map(_axis, over):
         axes.setdefault(key, []).extend(item for item in values if item not in axes.get(key, []))
-    fixed = {**overrides(set_), **files(line, train, recording),
-             **meaning(map_, quality, missing, track, balises, from_, to, without)}
+    fixed = {**use.overrides(set_), **use.files(line, train, recording),
+             **use.meaning(map_, quality, missing, track, balises, from_, to, without)}
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     found, variant = find_one(scenario, {**fixed, **points[0]})  # a key that is fixed may need one that is swept
     name = scenario if scenario.endswith(f"/{variant}") else f"{scenario}/{variant}"
     folder = Path(out or f"results/sweep-{found.name}-{'-'.join(key.replace('.', '_') for key in axes)}")
-    plans = [make_plan([name], only=labels(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
+    plans = [make_plan([name], only=use.labels(estimators), runs=runs, seed=seed, overrides={**fixed, **point},
                        plugins=plugin) for point in points]
     how = machinery(jobs, batch, backend, scheduler, timeout, memory)
-    command = shlex.join(["railstate", *sys.argv[1:]])
+    command = use.command()
     summaries: list[pd.DataFrame] = []
     reasons: dict[tuple[str, ...], dict[str, str]] = {}
     shown: list[tuple[str, str]] = []
@@ -183,10 +152,10 @@ def _broken(table: pd.DataFrame, keys: list[str]) -> Iterator[str]:
 def _wanted(metric: str, table: pd.DataFrame) -> list[tuple[str, str]]:
     """The metrics asked for. Raises InputError for one that is not there."""
     known = sorted({f"{a}:{b}" for a, b in zip(table["metric"], table["quantity"], strict=True)})
-    for item in names_in(metric):
+    for item in use.names_in(metric):
         if item not in known:
             raise InputError(f"--metric {item}: not among the metrics here: {', '.join(known)}")
-    return [(a, b) for a, _, b in (item.partition(":") for item in names_in(metric))]
+    return [(a, b) for a, _, b in (item.partition(":") for item in use.names_in(metric))]
 
 
 def _grid(told: Sweep, arranged: Arranged, ahead: list[str], cell: Callable[[Mapping[str, Any]], str]) -> pd.DataFrame:
@@ -225,8 +194,8 @@ def _axis(text: str) -> tuple[str, list[Any]]:
     key, _, values = text.partition("=")
     if not key or not values:
         raise InputError(f"--over {text}: expected KEY=V1,V2,.., such as channel.trains=1,2,3")
-    parsed = value(f"[{values}]")
-    listed = parsed if isinstance(parsed, list) else [value(item) for item in values.split(",")]
+    parsed = use.value(f"[{values}]")
+    listed = parsed if isinstance(parsed, list) else [use.value(item) for item in values.split(",")]
     return key, [item for place, item in enumerate(listed) if item not in listed[:place]]
 
 

@@ -10,7 +10,7 @@ import typer
 from ...scenarios.errors import InputError
 from ..judging.table import verdicts_of
 from ..store.folder import Store
-from .options import names_in
+from .options import names_in, written
 
 
 def table(
@@ -37,8 +37,6 @@ def table(
     if not out:
         print(text, end="")
         return
-    try:
+    with written("--out", out):
         Path(out).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
     print(out)

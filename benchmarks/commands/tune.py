@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,20 +19,7 @@ from ..studies.entries import toml
 from ..studies.search import parse_axis, parse_constraint
 from ..studies.tune import CONSTRAINTS, GREATER, Task, Tuned, tune
 from ..telling.console import print_table
-from .options import (
-    Backend,
-    Batch,
-    Jobs,
-    Memory,
-    Plugins,
-    Runs,
-    Scheduler,
-    Seed,
-    Sets,
-    Timeout,
-    names_in,
-    overrides,
-)
+from . import options as use
 
 
 def tune_(
@@ -54,23 +39,23 @@ def tune_(
     limit: Annotated[float, typer.Option(metavar="SECONDS", min=0.0, help="An evaluation that takes longer counts as "
                                          "lost (0: 20 times as long as the untuned entry, 10 s at the least).")] = 0.0,
     beside: Annotated[str, typer.Option(metavar="A,B", help="Other entries that the table shows on both sets.")] = "",
-    runs: Runs = 100,
-    seed: Seed = 1,
-    jobs: Jobs = 0,
+    runs: use.Runs = 100,
+    seed: use.Seed = 1,
+    jobs: use.Jobs = 0,
     out: Annotated[str, typer.Option(help="Write the tuned entry to this TOML file, and beside it, as .json, how it "
                                      "came about.")] = "",
-    plugin: Plugins = [],  # noqa: B006
-    set_: Sets = [],  # noqa: B006
-    batch: Batch = 0,
-    backend: Backend = "local",
-    scheduler: Scheduler = "",
-    timeout: Timeout = 900.0,
-    memory: Memory = 0.0,
+    plugin: use.Plugins = [],  # noqa: B006
+    set_: use.Sets = [],  # noqa: B006
+    batch: use.Batch = 0,
+    backend: use.Backend = "local",
+    scheduler: use.Scheduler = "",
+    timeout: use.Timeout = 900.0,
+    memory: use.Memory = 0.0,
 ) -> None:
     """Tune an estimator on training runs, show it beside the untuned one on the table's, print its entry as TOML."""
     how = machinery(jobs, batch, backend, scheduler, timeout, memory)
-    axes = [parse_axis(part) for part in names_in(over)]
-    aims = tuple((metric, quantity) for metric, _, quantity in (part.partition(":") for part in names_in(objective)))
+    axes = [parse_axis(part) for part in use.names_in(over)]
+    aims = tuple((part.partition(":")[0], part.partition(":")[2]) for part in use.names_in(objective))
     if not axes or not aims or not all(quantity for _, quantity in aims):
         raise InputError(f"--objective {objective}: expected METRIC:QUANTITY, such as rmse:speed")
     for metric, quantity in aims:
@@ -83,12 +68,12 @@ def tune_(
     if budget < 0 or 0 < budget < 3:
         raise InputError(f"--budget {budget}: at least 3 evaluations, or 0 for the usual number")
     allowed = budget or min(30 * len(axes), 100)
-    fixed = overrides(set_)
+    fixed = use.overrides(set_)
     found, variant = find_one(scenario, fixed)
     name = scenario[:-len(variant) - 1] if scenario.endswith(f"/{variant}") else scenario
     begun = datetime.now(UTC)
     task = Task(found, name, variant, estimator, fixed, aims, runs, seed, how,
-                Catalogue(plugin), tuple(map(parse_constraint, subject_to)), tuple(names_in(beside)), limit)
+                Catalogue(plugin), tuple(map(parse_constraint, subject_to)), tuple(use.names_in(beside)), limit)
     tuned = tune(task, axes, allowed)
     best = ", ".join(f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"
                      for key, value in tuned.found.values.items())
@@ -103,7 +88,7 @@ def tune_(
     (gap, error), (fixed_gap, _), (added, spread) = tuned.gap("tuned"), tuned.gap("untuned"), tuned.added()
     print(f"test over train: tuned {gap:+.2%} ± {1.96 * error:.2%}, untuned {fixed_gap:+.2%}; what tuning adds to it: "
           f"{added:+.2%} ± {1.96 * spread:.2%}")
-    words = shlex.join(["railstate", *sys.argv[1:]])
+    words = use.command()
     text = toml(f"{estimator}-tuned", tuned.entry, f"tuned: {words}, {begun.date()}; "
                 f"{len(tuned.found.losses)} evaluations of at most {allowed}")
     print(text)
@@ -117,10 +102,8 @@ def tune_(
                     "seed": seed, "budget": allowed, "limit": tuned.limit, "evaluations": tuned.evaluations,
                     "entry": tuned.entry, "train": _told(tuned.train), "test": _told(tuned.test)}
         for place, content in ((path, text), (path.with_suffix(".json"), json.dumps(manifest, indent=1, default=str))):
-            try:
+            with use.written("--out", out):
                 place.write_text(content, encoding="utf-8")
-            except OSError as error_:
-                raise InputError(f"--out {out}: cannot be written: {error_.strerror}") from None
 
 
 def _remarks(tuned: Tuned) -> list[str]:

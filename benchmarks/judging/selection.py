@@ -105,24 +105,22 @@ class Aligned:
 
     def values(self, column: str) -> Array:
         """A column as (estimators, runs); NaN where a run gave no value."""
-        codes, place, labels, whole = self._places
-        table = np.full((len(labels), len(whole)), np.nan)
-        table[codes, place] = self.part[column].to_numpy(dtype=float)
-        return table[:, whole]
+        return self._laid(self.part[column].to_numpy(dtype=float), np.nan)
 
     @cached_property
     def lost(self) -> Mask:
         """Which runs did not end well (estimators, runs)."""
-        codes, place, labels, whole = self._places
-        table = np.zeros((len(labels), len(whole)), dtype=bool)
-        table[codes, place] = (self.part["status"] != "ok").to_numpy()
-        return table[:, whole]
+        return self._laid((self.part["status"] != "ok").to_numpy(), False)
 
     def ended(self, statuses: Sequence[str]) -> Mask:
         """Which runs ended in each status (statuses, estimators, runs)."""
+        if not self.lost.any():
+            return np.zeros((len(statuses), *self.lost.shape), dtype=bool)
+        found = self.part["status"].to_numpy()
+        return np.stack([self._laid(found == status, False) for status in statuses])
+
+    def _laid(self, values: Array | Mask, empty: float) -> Any:
         codes, place, labels, whole = self._places
-        table = np.zeros((len(statuses), len(labels), len(whole)), dtype=bool)
-        if self.lost.any():
-            found = self.part["status"].to_numpy()
-            table[:, codes, place] = np.stack([found == status for status in statuses])
-        return table[:, :, whole]
+        table = np.full((len(labels), len(whole)), empty)
+        table[codes, place] = values
+        return table[:, whole]

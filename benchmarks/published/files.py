@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
 from typing import Any, Literal
@@ -153,20 +152,11 @@ class _File(Strict):
         return self
 
 
-@dataclass(frozen=True)
-class Paper:
+class Paper(_File):
     """A file of `published/`. notes: by group."""
 
     name: str
-    title: str
-    authors: str
-    year: int
-    reference: str
-    stands: str
-    why: str
-    readings: Mapping[str, Reading]
-    trials: Mapping[str, Trial]
-    notes: Mapping[str, str]
+    notes: dict[str, str]
     cells: tuple[Published, ...]
 
     def readings_of(self, cell: Published) -> list[str]:
@@ -225,8 +215,7 @@ def read(path: Path) -> Paper:
                     mistakes.append(f"{place}: trial {cell.trial}: not among [trials]: {', '.join(book.trials)}")
     if mistakes:
         raise InputError("\n".join(f"{path.name}: {line}" for line in mistakes))
-    return Paper(path.stem, book.title, book.authors, book.year, book.reference, book.stands, book.why, book.readings,
-                 book.trials, notes, tuple(cells))
+    return Paper.model_construct(**dict(book), name=path.stem, notes=notes, cells=tuple(cells))
 
 
 def _entries(cell: dict[str, Any]) -> Iterable[dict[str, Any]]:

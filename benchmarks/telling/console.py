@@ -129,7 +129,7 @@ def _print_group(group: list[Column], width: int) -> None:
     depth = max(len(column.head) for column in group)
     for i in range(depth):
         heads = [([""] * (depth - len(column.head)) + column.head)[i] for column in group]
-        say((_joined([[(head, "")] for head in heads], group, widths), "bold"))
+        say((_set([head[:size] for head, size in zip(heads, widths, strict=True)], group, widths).rstrip(), "bold"))
     say(plain("─") * min(width, sum(widths) + GAP * (len(group) - 1)))
     for row in range(len(group[0].cells)):
         parts = [_lines(column.cells[row], size) for column, size in zip(group, widths, strict=True)]
@@ -143,10 +143,9 @@ def _print_group(group: list[Column], width: int) -> None:
             say(*pieces[:-1])
 
 
-def _joined(cells: Sequence[Sequence[Piece]], group: Sequence[Column], widths: Sequence[int]) -> str:
-    texts = ["".join(text for text, _ in cell)[:size] for cell, size in zip(cells, widths, strict=True)]
+def _set(texts: Sequence[str], group: Sequence[Column], widths: Sequence[int]) -> str:
     return (" " * GAP).join(text.rjust(size) if column.right else text.ljust(size)
-                            for text, column, size in zip(texts, group, widths, strict=True)).rstrip()
+                            for text, column, size in zip(texts, group, widths, strict=True))
 
 
 def _lines(cell: list[Piece], width: int) -> list[list[Piece]]:
@@ -182,13 +181,9 @@ def _side_by_side(columns: list[Column]) -> Column:
     """Several columns as one, none of them wrapped."""
     if len(columns) == 1:
         return columns[0]
-
-    def line(texts: Sequence[str]) -> str:
-        return (" " * GAP).join(text.rjust(column.width) if column.right else text.ljust(column.width)
-                                for text, column in zip(texts, columns, strict=True))
-
-    return Column([line([" ".join(column.head) for column in columns])], [
-        [(line(["".join(text for text, _ in cell) for cell in cells]), "")]
+    widths = [column.width for column in columns]
+    return Column([_set([" ".join(column.head) for column in columns], columns, widths)], [
+        [(_set(["".join(text for text, _ in cell) for cell in cells], columns, widths), "")]
         for cells in zip(*(column.cells for column in columns), strict=True)])
 
 

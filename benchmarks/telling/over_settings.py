@@ -20,6 +20,9 @@ from .wording import counted, metric_name, number
 TEXT_WIDTH, LETTER, GAP, MOST_LINES = 322.0, 4.9, 12.0, 37
 """Points of a column of text, of a \\small letter, between two columns; lines that a page holds."""
 
+TEX = r"\textbf{{{}}}", r"\textit{{{}}}", r"\rlap{$^{=}$}", r"\rlap{$^{?}$}"
+"""How `_marked` marks in LaTeX: signs overhang, so that figures stay aligned."""
+
 
 @dataclass(frozen=True)
 class Block:
@@ -217,7 +220,8 @@ def _one_tex(table: Grid, heads: Sequence[str], name: str, part: str) -> str:
     for place, block in enumerate(table.blocks):
         lines.append(rf"\addlinespace[2pt]\multicolumn{{{n + 1}}}{{@{{}}l}}{{\emph{{{latex(block.name)}}}}}\\")
         for setting, texts in _texts(table, block):
-            lines.append(" & ".join([latex(setting), *(_tex_value(text, word) for text, word in texts)]) + r" \\")
+            marked = (_marked(latex(text), word, *TEX) for text, word in texts)
+            lines.append(" & ".join([latex(setting), *marked]) + r" \\")
         if len(block.rankings) > 1:
             lines.append(r"\textit{ratio to best} & " + " & ".join(map(latex, means(block, table.labels))) + r" \\")
         if place < len(table.blocks) - 1:
@@ -225,16 +229,10 @@ def _one_tex(table: Grid, heads: Sequence[str], name: str, part: str) -> str:
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
-def _tex_value(text: str, word: str) -> str:
-    """Bold best and ties; signs overhang, so that figures stay aligned."""
-    sign = {"tie": r"\rlap{$^{=}$}", "undecided": r"\rlap{$^{?}$}"}.get(word, "")
-    body = latex(text)
-    return {"best": rf"\textbf{{{body}}}", "tie": rf"\textbf{{{body}}}", "lost": rf"\textit{{{body}}}",
-            "oracle": f"({body})"}.get(word, body) + sign
-
-
-def _marked(text: str, word: str, bold: str = "**{}**", italic: str = "*{}*") -> str:
-    sign = {"tie": " =", "undecided": " ?"}.get(word, "")
+def _marked(text: str, word: str, bold: str = "**{}**", italic: str = "*{}*", tie: str = " =",
+            undecided: str = " ?") -> str:
+    """Best and ties bold, lost runs italic; with the verdict's sign."""
+    sign = {"tie": tie, "undecided": undecided}.get(word, "")
     return {"best": bold, "tie": bold, "lost": italic, "oracle": "({})"}.get(word, "{}").format(text) + sign
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -12,6 +12,8 @@ from .marks import drawn
 from .rankings import Cell, records
 from .sentences import title_of
 from .wording import bracket, metric_name, number, percent, plus_minus, ratio_interval, ratio_of, value_words
+
+Parts = Callable[[Sequence[str], Sequence[str]], dict[str, list[tuple[str, str]]]]
 
 
 def cell_table(cell: Cell) -> pd.DataFrame:
@@ -50,17 +52,9 @@ def cell_table(cell: Cell) -> pd.DataFrame:
 def window_tables(table: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
     """(scenario/variant: quantity by window, table) of cells with several named windows: a line a window, a column an
     estimator, pooled RMSE with half of its 95 % interval in the scenario's shown unit."""
-    for (scenario, variant), part in table[table["kind"] == "value"].groupby(["scenario", "variant"], sort=False):
-        names = (part["metric"] + ":" + part["quantity"] + ":" + part["unit"]).unique()
-        for quantity, columns in windows(names, manifest["scenarios"][str(scenario)]["quantities"]).items():
-            lines: list[dict[str, str]] = []
-            unit = ""
-            for window, name in columns:
-                mine = records(part[(part["metric"] == "rmse") & (part["quantity"] == name)])
-                unit = mine[0]["shown_unit"]
-                lines.append({"window": window} | {line["estimator"]: plus_minus(line) for line in mine})
-            yield f"{scenario}/{variant}: {bracket(f'rmse of {quantity}', unit)} by window", pd.DataFrame(
-                lines).fillna("")
+    for head, columns, words in _by_part(table, manifest, windows):
+        lines = [{"window": window} | words[name] for window, name in columns]
+        yield f"{head} by window", pd.DataFrame(lines).fillna("")
 
 
 def windows(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:
@@ -72,23 +66,29 @@ def windows(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[t
 def phase_tables(table: pd.DataFrame, manifest: Mapping[str, Any]) -> Iterator[tuple[str, pd.DataFrame]]:
     """(scenario/variant: quantity by phase, table) of cells with a true speed: a line an entry, a column a phase of
     driving."""
-    for (scenario, variant), part in table[table["kind"] == "value"].groupby(["scenario", "variant"], sort=False):
-        names = (part["metric"] + ":" + part["quantity"] + ":" + part["unit"]).unique()
-        for quantity, columns in phases(names, manifest["scenarios"][str(scenario)]["quantities"]).items():
-            found: dict[str, dict[str, str]] = {}
-            unit = ""
-            for phase, name in columns:
-                for line in records(part[(part["metric"] == "rmse") & (part["quantity"] == name)]):
-                    unit = line["shown_unit"]
-                    found.setdefault(line["estimator"], {"entry": line["estimator"]})[phase] = plus_minus(line)
-            yield f"{scenario}/{variant}: {bracket(f'rmse of {quantity}', unit)} by phase", pd.DataFrame(
-                list(found.values())).fillna("")
+    for head, columns, words in _by_part(table, manifest, phases):
+        yield f"{head} by phase", pd.DataFrame([
+            {"entry": label} | {phase: words[name][label] for phase, name in columns if label in words[name]}
+            for label in dict.fromkeys(label for _, name in columns for label in words[name])]).fillna("")
 
 
 def phases(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:
     """quantity -> (phase, its quantity's name) of metrics that are errors in a phase of driving."""
     return {quantity: found for quantity, columns in _parts(names, quantities).items()
             if (found := [part for part in columns if part[0] in PHASES])}
+
+
+def _by_part(table: pd.DataFrame, manifest: Mapping[str, Any], parts: Parts) -> Iterator[
+        tuple[str, list[tuple[str, str]], dict[str, dict[str, str]]]]:
+    """What each table is of, its parts with their quantities' names, and by name the words of each estimator."""
+    values = table[table["kind"] == "value"]
+    for (scenario, variant), part in values.groupby(["scenario", "variant"], sort=False):
+        names, rmse = (part["metric"] + ":" + part["quantity"] + ":" + part["unit"]).unique(), part["metric"] == "rmse"
+        for quantity, columns in parts(names, manifest["scenarios"][str(scenario)]["quantities"]).items():
+            found = {name: records(part[rmse & (part["quantity"] == name)]) for _, name in columns}
+            head = bracket(f"rmse of {quantity}", found[columns[0][1]][0]["shown_unit"])
+            yield f"{scenario}/{variant}: {head}", columns, {
+                name: {line["estimator"]: plus_minus(line) for line in lines} for name, lines in found.items()}
 
 
 def _parts(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:

@@ -168,11 +168,6 @@ def capital(quantity: str) -> str:
     return quantity if len(quantity) < 3 or not quantity[0].isalpha() else quantity[0].upper() + quantity[1:]
 
 
-def listing(names: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
-
-
 def some(names: Sequence[str]) -> str:
     """Names in a row; of more than five, four `and 9 others`."""
     return ", ".join(names) if len(names) <= 5 else f"{', '.join(names[:4])} and {len(names) - 4} others"

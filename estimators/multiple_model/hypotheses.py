@@ -161,13 +161,3 @@ class InteractingModels(Estimator):
     def estimate(self) -> Estimate:
         moments(self.weight, self.bank._mean, self.bank._covariance, self._mean, self._covariance)
         return Estimate(self._mean, covariance=self._covariance)
-
-    def snapshot(self) -> Any:
-        return self.bank.snapshot(), self.weight.copy(), self.lost.copy(), self._closed and self._closed.since.copy()
-
-    def restore(self, snapshot: Any) -> None:
-        bank, weight, lost, since = snapshot
-        self.bank.restore(bank)
-        self.weight, self.lost = weight.copy(), lost.copy()
-        if self._closed is not None:
-            self._closed.since = since.copy()

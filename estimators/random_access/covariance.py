@@ -8,12 +8,6 @@ from ...scenarios.arrays import Array
 from ...scenarios.model import DesignModel, Linear, Reception
 
 
-def predicted_covariance(linear: Linear, P: Array, k: int) -> Array:
-    """(10): P(k+1|k) from P(k|k), both (nx, nx)."""
-    A = linear.A(k)
-    return A @ P @ A.T + linear.Q(k)
-
-
 def updated_covariance(linear: Linear, reception: Reception, P: Array, k: int) -> tuple[Array, Array]:
     """(11), (12): the gain K (nx, ny) and P(k|k) from P(k|k-1), (nx, nx). Sensors that no node owns get no gain.
 
@@ -47,10 +41,10 @@ class Covariance:
         return self
 
     def predicted(self, k: int) -> Covariance:
-        """From step k to k + 1."""
+        """(10): from step k to k + 1."""
         if k not in self._predicted:
-            P = predicted_covariance(self.linear, self.P, k)
-            self._predicted[k] = Covariance(self.linear, self.reception, P)
+            A = self.linear.A(k)
+            self._predicted[k] = Covariance(self.linear, self.reception, A @ self.P @ A.T + self.linear.Q(k))
         return self._predicted[k]
 
     def updated(self, k: int) -> tuple[Array, Covariance]:

@@ -5,7 +5,8 @@ Error: e+ = (I - K C)[(A + M Delta N) e + G w] - K v with |Delta| <= 1, |w_i| <=
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
@@ -17,6 +18,9 @@ from ...scenarios.model import Bounds, DesignModel
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimator, Parameters, Status, flag
 from .small import contraction
+
+if TYPE_CHECKING:
+    from .convex import Solution
 
 SOURCE = "Liu et al., Measurement and Control 2025, doi 10.1177/00202940251368051"
 REASONS = {
@@ -179,10 +183,20 @@ class Robust(Estimator):
         self.stability[run] = max(self.stability[run], top)
         self._K[:, :, run] = K
 
-    def _unsolved(self, run: int, status: str) -> None:
-        only = np.arange(self.runs) == run
-        flag(self, only, Status.infeasible, f"the convex problem has no solution (solver: {status})")
-        self._K[:, :, run] = 0.0
+    def _to_solve(self, received: Mask) -> Iterator[int]:
+        """Runs that have a problem of their own, for the convex forms; the gains of all are none until it is solved."""
+        self._K[:] = 0.0
+        return (run for run in range(self.runs)
+                if self.status[run] == Status.ok and (self._moved[run] or received[:, run].any()))
+
+    def _solved(self, run: int, C: Array, solution: Solution) -> bool:
+        """Whether a run's problem has a solution, whose gain is noted; the run is flagged where it has none."""
+        if not np.isfinite(solution.objective):
+            flag(self, np.arange(self.runs) == run, Status.infeasible,
+                 f"the convex problem has no solution (solver: {solution.status})")
+            return False
+        self._note(run, C, solution.K)
+        return True
 
     def extremes(self) -> dict[str, Array]:
         return {"contraction": self.stability}

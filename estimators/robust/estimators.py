@@ -14,7 +14,7 @@ from ...scenarios.arrays import Array, Mask
 from ...scenarios.measurement import Measurement
 from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
-from ..interface import Estimate, Status
+from ..interface import Estimate
 from .base import Robust, RobustParameters, SensorParameters, plain
 from .fast import recursive_step
 from .memoryless import bound_step, memoryless_step
@@ -67,19 +67,13 @@ class _Recursive(Robust):
         nx, ny = self.model.nx, self.model.ny
         if self._convex is None:
             self._convex = RecursiveProblem(nx, self._whole.shape[1], ny, self.ellipsoid)
-        for run in range(self.runs):
-            self._P[:, :, run] = self._Pi[:, :, run]
-            if self.status[run] != Status.ok or not (self._moved[run] or received[:, run].any()):
-                self._K[:, :, run] = 0.0
-                continue
+        self._P[:] = self._Pi
+        for run in self._to_solve(received):
             A, N, g, H = self._of_run(C, run)
             mine = R[:, :, min(run, R.shape[2] - 1)]
             solution = self._convex.solve(self._Pi[:, :, run], A, self._M, N, g, H, mine, received[:, run])
-            if np.isfinite(solution.objective):
+            if self._solved(run, C, solution):
                 self._P[:, :, run] = solution.P
-                self._note(run, C, solution.K)
-            else:
-                self._unsolved(run, solution.status)
 
     def _bound(self) -> Array:
         """Pi (nx, nx, S) as it stands, of a waiting prediction too (its step with K = 0)."""
@@ -180,20 +174,14 @@ class RobustBounded(Robust):
         if self._convex is None:
             self._convex = BoundedProblem(self.model.nx, self._whole.shape[1], self.model.ny, self.parameters.mu)
         self._P, self._objective = self._unheard()
-        for run in range(self.runs):
-            self._K[:, :, run] = 0.0
-            if self.status[run] != Status.ok or not (self._moved[run] or received[:, run].any()):
-                continue
+        for run in self._to_solve(received):
             if not received[:, run].any():
                 self._note(run, C, self._K[:, :, run])
                 continue
             A, N, g, H = self._of_run(C, run)
             solution = self._convex.solve(A, self._M, N, g, self._v, H, received[:, run])
-            if np.isfinite(solution.objective):
+            if self._solved(run, C, solution):
                 self._P[:, :, run], self._objective[run] = solution.P, solution.objective
-                self._note(run, C, solution.K)
-            else:
-                self._unsolved(run, solution.status)
 
     def _unheard(self) -> tuple[Array, Array]:
         """P and objective of the waiting step without a measurement (K = 0)."""

@@ -46,9 +46,3 @@ class IntervalObserver(Estimator):
         self._mean[:n] = 0.5 * (self.low + self.high)
         self._shape[0, 0] = (0.5 * (self.high[0] - self.low[0])) ** 2
         return Estimate(self._mean, ellipsoid=self._shape)
-
-    def snapshot(self) -> Any:
-        return self.low.copy(), self.high.copy()
-
-    def restore(self, snapshot: Any) -> None:
-        self.low, self.high = (side.copy() for side in snapshot)

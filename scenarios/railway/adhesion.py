@@ -16,7 +16,6 @@ from ..machine_code import njit
 from ..randomness import RunRandom
 from ..schema import Strict
 from ..strict import key
-from .dynamics import GRAVITY
 
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -220,9 +219,3 @@ def friction_at(s, piece, edge, base, low, cells, begin, cell, run):  # pyright:
         piece += 1
     where = min(max(int((s - begin) / cell), 0), cells.shape[0] - 1)
     return (cells[where, run] if low[piece] else base[piece]), piece, where
-
-
-@njit(cache=True)
-def bears(friction, load):  # pyright: ignore
-    """Greatest force (N) under an axle load of `load` kg."""
-    return friction * load * GRAVITY

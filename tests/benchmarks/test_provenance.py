@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from railstate.benchmarks.store import provenance
 from railstate.estimators.registry import load_file
-from railstate.scenarios.source import modules_of, source_hash
+from railstate.scenarios.source import _closure, source_hash
 
 from ..conftest import PLUGIN
 
@@ -71,18 +71,19 @@ def test_a_loose_file_and_the_helper_beside_it(tmp_path: Path, monkeypatch: pyte
         + PLUGIN.partition("class Half")[0] + "class Half" + PLUGIN.partition("class Half")[2].partition("\nclass ")[0])
     monkeypatch.setattr(sys, "path", list(sys.path))
     name = next(iter(load_file(str(tmp_path / "loose.py")).values())).__module__
-    assert {"gains", "loose.py", "railstate.estimators.interface"} <= set(modules_of(name))
+    assert {"gains", "loose.py", "railstate.estimators.interface"} <= set(_closure((name,)))
     before = source_hash(name)
     (tmp_path / "gains.py").write_text("GAIN = 0.25\n")
     assert source_hash(name) != before
 
 
 def test_an_edit_in_one_family_leaves_the_others(tmp_path: Path) -> None:
-    robust, kalman = (set(modules_of(f"railstate.estimators.{name}")) for name in ("robust.estimators", "kalman"))
+    robust, kalman = (set(_closure((f"railstate.estimators.{name}",))) for name in ("robust.estimators", "kalman"))
     assert "railstate.estimators.robust.convex" in robust - kalman and "railstate.estimators.interface" in kalman
-    metro = set(modules_of("railstate.scenarios.metro.setting"))
+    metro = set(_closure(("railstate.scenarios.metro.setting",)))
     assert "railstate.scenarios.railway.trip" in metro and not any("braking" in name for name in metro)
-    rows_are_made_by = set(modules_of("railstate.benchmarks.running.execute"))
+    rows_are_made_by = set(_closure(("railstate.benchmarks.running.execute",)))
     assert {"railstate.benchmarks.scoring.scorer", "railstate.benchmarks.running.drive"} <= rows_are_made_by
     assert not any(word in name for name in rows_are_made_by for word in ("store", "judging", "telling", "kalman_"))
-    assert "railstate.scenarios.coupled_cars/zou2018_gain.csv" in modules_of("railstate.scenarios.coupled_cars.setting")
+    cars = _closure(("railstate.scenarios.coupled_cars.setting",))
+    assert "railstate.scenarios.coupled_cars/zou2018_gain.csv" in cars

@@ -86,7 +86,7 @@ def test_the_page_tells_what_was_run_and_how_to_run_it_again(html: str, results:
 
 
 def test_the_matrix_says_the_verdict_of_the_entry_that_stands_for_a_family(results: Results) -> None:
-    cells = [cell.cell for found in results.scenarios.values() for cell in found]
+    cells = [cell for found in results.scenarios.values() for cell in found]
     made = matrix(cells)
     assert made.families == ["Other"]  # these rows' plug-ins tell no family
     for row, cell in zip(made.rows, cells, strict=True):
@@ -142,12 +142,12 @@ def test_faults_by_filters_where_a_folder_has_them(results: Results) -> None:
     assert fault_table(cells) is None
     made = fault_table([replace(cells[0], table={"faults": [{"kind": "outliers"}, {"kind": "stuck"}]}), cells[1]])
     assert made and [entries[0].html for _, entries in made.lines] == ["outliers, stuck", "none"]
-    assert "★ 1" in str(made.lines[0][1][1 + cells[0].cell.labels.index("ekf")].html)
+    assert "★ 1" in str(made.lines[0][1][1 + cells[0].labels.index("ekf")].html)
     both = fault_table([replace(cell, table={"faults": [{"kind": "outliers", "share": share}]})
                         for cell, share in zip(cells, (0.1, 0.3), strict=False)])
     assert both and [entries[0].html for _, entries in both.lines] == [
         "outliers 10 %", "outliers 30 %", "breaks down at outliers of"]
-    assert both.lines[-1][1][1 + cells[0].cell.labels.index("ekf")].html in ("none up to 30 %", "30 %")
+    assert both.lines[-1][1][1 + cells[0].labels.index("ekf")].html in ("none up to 30 %", "30 %")
 
 
 def test_published_numbers_stand_by_readings_with_their_notes_once() -> None:

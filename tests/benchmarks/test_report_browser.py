@@ -130,7 +130,7 @@ def test_what_is_shown_can_be_saved(browser: Any, folder: Path) -> None:
     visit(browser, folder, 1400)
     metro = browser.execute_async_script(SAVED, "#ningbo-metro-switching button[data-save=table]").splitlines()
     assert metro[0].startswith("entry,position verdict,position value,position low,position high,position ratio,")
-    cell = next(c for c in load_results(folder).scenarios["ningbo-metro"] if c.variant == "switching").cell
+    cell = next(c for c in load_results(folder).scenarios["ningbo-metro"] if c.variant == "switching")
     for text, line in zip(metro[1:], cell.rankings[0].lines, strict=True):
         label, verdict, value, *_ = text.split(",")
         assert (label, verdict) == (line["estimator"], line["verdict"])

@@ -171,10 +171,6 @@ ALL = ("switching", "white", "sinusoid", "constant", "physical", "physical-bias"
         "s", "v", "b", "mae", "x")),
     ("variant_reduction", ("s", "a", "mae", "x", "v", "w"), lambda: 1 - mean("s", "v", "a", "mae", "x") / mean(
         "s", "w", "a", "mae", "x")),
-    ("work_ratio", ("v", "a", "b"), lambda: mean(B, "v", "a", "kalman-updates", "work") / mean(
-        B, "v", "b", "kalman-updates", "work")),
-    ("work_reduction", ("v", "a", "b"), lambda: 1 - mean(B, "v", "a", "kalman-updates", "work") / mean(
-        B, "v", "b", "kalman-updates", "work")),
     ("target_error", ("measured", "a"), lambda: mean(B, "uncertain-start", "a", "mae", "target-acceleration")),
     *(("robust_ratio", ("white", "speed", "r", told), lambda tail=tail: (
         mean(M, "white", "r", "rmse", "speed", power=2) / min(

@@ -27,7 +27,7 @@ def test_every_number_under_every_reading(expected: Callable[[str, str], None], 
     monkeypatch.setattr(reproduce, "Book", lambda rows: Asked())
     monkeypatch.setattr(zou2018, "_certificates", lambda forces: (
         SimpleNamespace(bound=0.5 + len(forces), K=gains), SimpleNamespace(bound=9.0, K=gains)))
-    monkeypatch.setattr(zou2018, "_greatest_decay", lambda: 0.97)
+    monkeypatch.setattr(zou2018, "corollary2", lambda system, varpi: SimpleNamespace(gamma_bar=0.97))
     done = reproduce.reproduce(papers(), pd.DataFrame())
     out = list[str]()
     for one in done:

@@ -15,7 +15,7 @@ from railstate.benchmarks.telling.rankings import Cell, Ranking
 
 
 def cell_of(results: Results, key: str) -> Cell:
-    return next(found.cell for cells in results.scenarios.values() for found in cells if found.key == key)
+    return next(found for cells in results.scenarios.values() for found in cells if found.key == key)
 
 
 def test_every_number_of_a_finding_is_the_verdict_tables(results: Results) -> None:
@@ -25,10 +25,10 @@ def test_every_number_of_a_finding_is_the_verdict_tables(results: Results) -> No
             lines = results.verdicts[(results.verdicts["scenario"] == found.scenario)
                                      & (results.verdicts["variant"] == found.variant)
                                      & (results.verdicts["kind"] == "error")]
-            for ranking in found.cell.rankings:
+            for ranking in found.rankings:
                 mine = lines[(lines["metric"] == ranking.metric) & (lines["quantity"] == ranking.quantity)].set_index(
                     "estimator")
-                text = sentences.finding(found.cell, ranking)
+                text = sentences.finding(found, ranking)
                 value, half, best, runs = re.search(  # type: ignore[union-attr]
                     r"least [\w -]+? ([\d.]+) ± ([\d.]+)[^(]*\(([\w-]+), (\d+) runs\)", text).groups()
                 row = mine.loc[best]
@@ -54,7 +54,7 @@ def test_every_number_of_a_finding_is_the_verdict_tables(results: Results) -> No
 def test_counts_over_a_folder_are_the_verdict_tables(results: Results) -> None:
     errors = results.verdicts[results.verdicts["kind"] == "error"]
     claims = results.verdicts[(results.verdicts["kind"] == "consistency") & (results.verdicts["metric"] == "nees")]
-    first, second = sentences.over_all([c.cell for cells in results.scenarios.values() for c in cells], 24)
+    first, second = sentences.over_all([c for cells in results.scenarios.values() for c in cells], 24)
     compared, worse, ties, undecided, lost = map(int, re.findall(r"\d+", first.replace("1 %", ""))[1:6])
     words = [drawn(line) for line in errors.to_dict("records")]
     assert [worse, ties, undecided, lost] == [words.count(word) for word in ("worse", "tie", "undecided", "lost")]
@@ -64,11 +64,11 @@ def test_counts_over_a_folder_are_the_verdict_tables(results: Results) -> None:
 
 
 def test_a_scenario_over_its_variants(results: Results) -> None:
-    position, speed = sentences.over_variants([cell.cell for cell in results.scenarios["ningbo-metro"]])
+    position, speed = sentences.over_variants(results.scenarios["ningbo-metro"])
     assert position == ("Position, 3 variants. Best or tied in 2: ekf, ukf; in 1: robust-mean-square. Worse in every "
                         "variant: ekf-inflated, robust-ellipsoid, ekf-naive.")
     assert speed.startswith("Speed, 3 variants.")
-    assert sentences.over_variants([cell.cell for cell in results.scenarios["braking-rate"]]) == []
+    assert sentences.over_variants(results.scenarios["braking-rate"]) == []
 
 
 def test_claims_and_lost_runs_are_said(results: Results) -> None:

@@ -1,6 +1,6 @@
-"""Zheng, Han, Kong, Wang 2015: counts of Kalman updates for times, the a_z row, and what its tables say of each other.
+"""Zheng, Han, Kong, Wang 2015: the a_z row, and what its tables say of each other.
 
-A count stands for a time: one Kalman filter's update is the unit of work of all three algorithms."""
+Counts of Kalman updates stand for times: one filter's update is the unit of work of all three algorithms."""
 
 from __future__ import annotations
 
@@ -9,27 +9,12 @@ from scipy.stats import norm
 
 from ....estimators.mode_grid import triples
 from ....estimators.registry import estimator_class
-from ....scenarios.model import DesignModel
-from ..rows import Book, Found, ratio, reduction, summary
-from .base import Computation, Key, model_of
+from ..rows import Book, Found, summary
+from .base import Computation, model_of
 
 BRAKING = "braking-rate"
 PARTICLES = {"rbpf-static-full": 250, "sma-full": 50, "gsma-full": 50}
 """N0 of section 4."""
-
-
-def work_ratio(book: Book, variant: str, one: str, other: str) -> Found:
-    """Kalman updates per step of one estimator over another's."""
-    return ratio(*(book.values(BRAKING, variant, label, "kalman-updates", "work") for label in (one, other)))
-
-
-def work_reduction(book: Book, variant: str, one: str, other: str) -> Found:
-    """1 - one estimator's Kalman updates over another's."""
-    return reduction(*(book.values(BRAKING, variant, label, "kalman-updates", "work") for label in (one, other)))
-
-
-def _both(variant: str, one: str, other: str) -> list[Key]:
-    return [(BRAKING, variant, one), (BRAKING, variant, other)]
 
 
 def share(book: Book, part: float, whole: float) -> Found:
@@ -43,25 +28,13 @@ def target_error(book: Book, reading: str, estimator: str) -> Found:
     if reading == "measured":
         return summary(book.values(BRAKING, "uncertain-start", estimator, "mae", "target-acceleration"))
     model = model_of(BRAKING, "uncertain-start")
-    grid = model.modes
-    assert grid is not None
-    keeps = _keeps(model)
-    steps = 150
+    assert model.linear is not None
+    keeps, steps = float(model.linear.A(0)[3, 3]), 150  # what is left of an error of a_z after a step
     size = np.sqrt(model.initial_covariance[3, 3, 0] / PARTICLES[estimator])
     mean = (1 - keeps ** (steps + 1)) / (1 - keeps) / (steps + 1)
     quantiles = np.abs(norm.ppf((np.arange(1000) + 0.5) / 1000))
     runs = size * mean * quantiles
     return Found(float(size * mean * np.sqrt(2 / np.pi)), 0.0, float(runs.std()), runs)
-
-
-def _keeps(model: DesignModel) -> float:
-    """The share of an error of a_z that is left after a step."""
-    assert model.linear is not None
-    return float(model.linear.A(0)[3, 3])
-
-
-def _target_rows(reading: str, estimator: str) -> list[Key]:
-    return [(BRAKING, "uncertain-start", estimator)] if reading == "measured" else []
 
 
 def command_window(book: Book, *ratios: float) -> Found:
@@ -92,10 +65,9 @@ def groups_of(book: Book, values: int) -> Found:
 
 
 COMPUTATIONS = {
-    "work_ratio": Computation(work_ratio, _both),
-    "work_reduction": Computation(work_reduction, _both),
     "share": Computation(share),
-    "target_error": Computation(target_error, _target_rows),
+    "target_error": Computation(target_error, lambda reading, estimator: [
+        (BRAKING, "uncertain-start", estimator)] if reading == "measured" else []),
     "command_window": Computation(command_window),
     "grid_updates": Computation(grid_updates),
     "groups_of": Computation(groups_of),

@@ -15,7 +15,7 @@ from ....estimators.ultimate_bound.lmi import Certificate, ErrorSystem, certify,
 from ....estimators.ultimate_bound.system import error_system
 from ....scenarios.errors import Infeasible
 from ..rows import Book, Found, ratio
-from .base import Computation, Key, model_of
+from .base import Computation, model_of
 
 CARS = "cbtc-csma"
 SCHEME, DIRECT = "ultimate-bound-published", "direct"
@@ -54,14 +54,9 @@ def zou_solvable(book: Book) -> Found:
         return Found(0.0)
 
 
-@cache
-def _greatest_decay() -> float:
-    return corollary2(_system("remark-2"), None).gamma_bar
-
-
 def zou_decay(book: Book) -> Found:
     """The greatest gamma_bar that Corollary 2's (32) alone admits; a decay needs more than 1."""
-    return Found(_greatest_decay())
+    return Found(corollary2(_system("remark-2"), None).gamma_bar)
 
 
 def headway_ratio(book: Book, variant: str) -> Found:
@@ -78,15 +73,11 @@ def bound_share(book: Book, variant: str, estimator: str) -> Found:
     return ratio(measured, bound)
 
 
-def _scheme_and_direct(variant: str) -> list[Key]:
-    return [(CARS, variant, SCHEME), (CARS, variant, DIRECT)]
-
-
 COMPUTATIONS = {
     "zou_excess": Computation(zou_excess),
     "zou_distance": Computation(zou_distance),
     "zou_solvable": Computation(zou_solvable),
     "zou_decay": Computation(zou_decay),
-    "headway_ratio": Computation(headway_ratio, _scheme_and_direct),
+    "headway_ratio": Computation(headway_ratio, lambda variant: [(CARS, variant, label) for label in (SCHEME, DIRECT)]),
     "bound_share": Computation(bound_share, lambda variant, estimator: [(CARS, variant, estimator)]),
 }

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,8 @@ from ....scenarios.arrays import Array
 from .canvas import FONT, Canvas, text_width
 
 DASHES: tuple[tuple[float, ...], ...] = ((), (4.0, 1.6), (1.3, 1.3), (6.0, 1.5, 1.3, 1.5), (2.5, 2.5))
+LEFT, RIGHT = 36.0, 6.0
+"""Room beside a panel, for its numbers and for half of the last one under it."""
 MARKERS = ("circle", "square", "triangle", "diamond", "down")
 _SHAPES: dict[str, Array] = {
     "circle": np.column_stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)]),
@@ -206,6 +209,31 @@ class Panel:
     def mark(self, x: float, y: float, style: Style, *, size: float = 2.8, title: str = "") -> None:
         """A marker at a data point."""
         draw_marker(self.canvas, self._across(x), self._down(y), style, size, title)
+
+
+class Sheet:
+    """Panels one under another on a canvas of their own, with a legend at its foot. heights: of the panels; foot: room
+    under the last one, which alone says what x is."""
+
+    def __init__(self, title: str, width: float, heights: Sequence[float], entries: Sequence[tuple[str, Style]] = (), *,
+                 x_label: str = "time [s]", gap: float = 18.0, foot: float = 26.0) -> None:
+        self.room = legend_height([label for label, _ in entries], width - 8)
+        self.canvas = Canvas(14 + sum(heights) + gap * (len(heights) - 1) + foot + self.room, title, width)
+        self.entries, self.x_label, self.gap, self.top, self.left = entries, x_label, gap, 14.0, list(heights)
+
+    def panel(self, x: Scale, y: Scale, title: str, **looks: Any) -> Panel:
+        """The next one; looks: as `Panel` takes them."""
+        height = self.left.pop(0)
+        usual = {"x_ticks": not self.left, "x_label": "" if self.left else self.x_label}
+        made = Panel(self.canvas, LEFT, self.top, self.canvas.width - LEFT - RIGHT, height, x, y, title=title,
+                     **{**usual, **looks})
+        self.top += height + self.gap
+        return made
+
+    def done(self, *, markers: bool = False) -> Canvas:
+        """The canvas, with its legend."""
+        legend(self.canvas, self.room, self.entries, markers=markers)
+        return self.canvas
 
 
 def draw_marker(canvas: Canvas, x: float, y: float, style: Style, size: float = 2.8, title: str = "") -> None:

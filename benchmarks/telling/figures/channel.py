@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .axes import Panel, Scale, Style, legend, legend_height, spanning
+from .axes import Scale, Sheet, Style, spanning
 from .canvas import Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT
 
 WINDOWS = 60
 
@@ -25,37 +24,30 @@ def receptions(cell: CellResults) -> Canvas | None:
     since = index - np.maximum.accumulate(np.where(received, index, -1))
     wait = np.maximum.reduceat(since, starts) * cell.period
     time = track.time[starts]
-    canvas = Canvas(14 + 64 + 18 + 64 + 26, f"Receptions, {cell.key}", cell.width)
-    x = spanning(track.time, log=False, margin=0.0)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 64, x, Scale(0.0, 1.0),
-                  title=f"share received (mean {received.mean():.2f})", x_ticks=False)
+    sheet, x = Sheet(f"Receptions, {cell.key}", cell.width, [64, 64]), spanning(track.time, log=False, margin=0.0)
+    panel = sheet.panel(x, Scale(0.0, 1.0), f"share received (mean {received.mean():.2f})")
     panel.line(time, share, Style("c0"))
     panel.level(float(received.mean()))
-    under = Panel(canvas, LEFT, 14 + 64 + 18, cell.width - LEFT - RIGHT, 64, x, spanning(wait, log=False, zero=True),
-                  title="longest wait for a packet [s]", x_label="time [s]")
-    under.line(time, wait, Style("c3"))
-    return canvas
+    sheet.panel(x, spanning(wait, log=False, zero=True), "longest wait for a packet [s]").line(time, wait, Style("c3"))
+    return sheet.done()
 
 
 def headway(cell: CellResults) -> Canvas | None:
     """Headway time over speed, from each estimator's own largest position error, with 95 % intervals."""
-    lines = [(float(line["quantity"].rpartition("-")[2]), line) for line in cell.lines("value", "headway")
+    lines = [(float(line["quantity"].rpartition("-")[2]), line) for line in cell.of("value", "headway")
              if line["quantity"].rpartition("-")[2].isdecimal()]
     speeds = np.unique([speed for speed, _ in lines])
     found = {label: [line for _, line in sorted(lines, key=lambda item: item[0]) if line["estimator"] == label]
-             for label in cell.labels}
+             for label in cell.ran}
     found = {label: values for label, values in found.items() if len(values) == len(speeds)}
     if len(speeds) < 2 or not found:
         return None
-    room = legend_height(list(found), cell.width - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Headway, {cell.key}", cell.width)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, spanning(speeds, log=False),
-                  spanning(*([v["value"] for v in values] for values in found.values()), log=False),
-                  title="headway [s]", x_label="speed [km/h]")
+    sheet = Sheet(f"Headway, {cell.key}", cell.width, [130], cell.styled([*found]), x_label="speed [km/h]")
+    panel = sheet.panel(spanning(speeds, log=False), spanning(
+        *([v["value"] for v in values] for values in found.values()), log=False), "headway [s]")
     for label, values in found.items():
         panel.band(speeds, [v["low"] for v in values], [v["high"] for v in values], cell.styles[label].colour)
         panel.line(speeds, [v["value"] for v in values], cell.styles[label], title=label)
         for speed, value in zip(speeds, values, strict=True):
             panel.mark(float(speed), value["value"], cell.styles[label], size=2.2)
-    legend(canvas, room, [(label, cell.styles[label]) for label in found], markers=True)
-    return canvas
+    return sheet.done(markers=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from ...judging.selection import Aligned, Column
 from ...judging.table import verdicts_of
 from ...scoring.columns import shown_unit
 from ...store.folder import Store
-from ..marks import Line
 from ..rankings import Cell, cells_of
 from .axes import DASHES, MARKERS, Style
 from .canvas import COLOURS, WIDTH
@@ -55,12 +54,11 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class CellResults:
-    """One variant of one scenario. cell: its part of the verdict table. table: the scenario's. curves: by (estimator,
-    quantity). kept: by (estimator, name) of one kept run (the first), estimator "" for the truth's own. only:
-    quantities that figures of errors are to show. width: of figures, in points."""
+class CellResults(Cell):
+    """One variant of one scenario with its runs. table: the scenario's. curves: by (estimator, quantity). kept: by
+    (estimator, name) of one kept run (the first), estimator "" for the truth's own. only: quantities that figures of
+    errors are to show. width: of figures, in points."""
 
-    cell: Cell
     table: Mapping[str, Any]
     rows: pd.DataFrame
     curves: Mapping[tuple[str, str], Curve]
@@ -76,41 +74,26 @@ class CellResults:
     def apart(self, labels: Sequence[str]) -> list[str]:
         """Those whose curves lie over one another in a panel: all that were asked for; else, where they are more than
         `CROWD`, of each family the one that errs least, by the first quantity that is judged."""
-        if len(labels) <= CROWD or not self.judged or set(self.labels) < set(self.cell.entries):
+        if len(labels) <= CROWD or not self.judged or set(self.ran) < set(self.entries):
             return list(labels)
         _, metric, quantity, _ = self.judged[0]
         best: dict[str, tuple[float, str]] = {}
         for label in labels:
-            line = self.line("error", metric, quantity, label)
-            error = float(line["value"]) if line and np.isfinite(line["value"]) else np.inf
-            family = self.cell.families.get(label, "Other")
+            error = next((float(line["value"]) for line in self.of("error", metric, quantity)
+                          if line["estimator"] == label and np.isfinite(line["value"])), np.inf)
+            family = self.families.get(label, "Other")
             best[family] = min(best.get(family, (np.inf, label)), (error, label), key=lambda found: found[0])
         shown = {label for _, label in best.values()}
         return [label for label in labels if label in shown]
 
     @property
-    def scenario(self) -> str:
-        return self.cell.scenario
-
-    @property
-    def variant(self) -> str:
-        return self.cell.variant
-
-    @property
-    def key(self) -> str:
-        return self.cell.key
-
-    @property
-    def about(self) -> Mapping[str, Any]:
-        return self.cell.about
-
-    @property
-    def timing(self) -> Mapping[str, Mapping[str, float]]:
-        return self.cell.timing
-
-    @property
-    def labels(self) -> list[str]:
+    def ran(self) -> list[str]:
+        """Its estimators in the order of the rows."""
         return [str(label) for label in self.rows["estimator"].unique()]
+
+    def styled(self, labels: Sequence[str]) -> list[tuple[str, Style]]:
+        """Estimators with their looks, for a legend."""
+        return [(label, self.styles[label]) for label in labels]
 
     @property
     def period(self) -> float:
@@ -124,16 +107,8 @@ class CellResults:
     @cached_property
     def judged(self) -> list[Column]:
         """The error columns that are judged, one per quantity."""
-        found = dict.fromkeys((line["metric"], line["quantity"], line["unit"]) for line in self.lines("error"))
+        found = dict.fromkeys((line["metric"], line["quantity"], line["unit"]) for line in self.of("error"))
         return [(":".join(names), *names) for names in found]
-
-    def lines(self, kind: str, metric: str = "", quantity: str = "") -> list[Line]:
-        """Lines of the verdict table of a kind, a metric, a quantity (empty: any)."""
-        return self.cell.of(kind, metric, quantity)
-
-    def line(self, kind: str, metric: str, quantity: str, label: str) -> Line | None:
-        """One estimator's line of the verdict table, or None."""
-        return next((line for line in self.lines(kind, metric, quantity) if line["estimator"] == label), None)
 
     def values(self, column: str) -> dict[str, Array]:
         """A column of the rows per estimator, aligned by run."""
@@ -195,9 +170,10 @@ def load_results(folder: str | Path, *, run: int = 0, only: Sequence[str] = (), 
         if key not in parts:
             raise InputError(f"{store.folder}: verdicts.parquet tells of {cell.key}, and no rows are there; remove it")
         scenarios.setdefault(cell.scenario, []).append(CellResults(
-            cell, manifest["replay"]["cells"][cell.key]["table"],
-            parts[key].dropna(axis=1, how="all").reset_index(drop=True), curves.get(key, {}), kept.get(key, {}),
-            styles, tuple(only), width))
+            **{part.name: getattr(cell, part.name) for part in fields(cell)},
+            table=manifest["replay"]["cells"][cell.key]["table"],
+            rows=parts[key].dropna(axis=1, how="all").reset_index(drop=True),
+            curves=curves.get(key, {}), kept=kept.get(key, {}), styles=styles, only=tuple(only), width=width))
     return Results(store.folder, manifest, rows, verdicts, scenarios, styles)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ....scenarios.arrays import Array
 from ...judging.statistics import finite
 from ..wording import bracket, metric_name
-from .axes import Panel, Style, legend, legend_height, spanning
+from .axes import RIGHT, Panel, Sheet, Style, spanning
 from .canvas import Canvas, text_width
 from .data import CROWD, CellResults, Curve
 
@@ -20,7 +20,6 @@ MOST = 3
 BINS = 130
 FLOOR = Style("muted", (2.0, 2.0))
 """How the least possible error is drawn, of the first estimator's truths."""
-LEFT, RIGHT = 36.0, 6.0
 
 
 def binned_rms(curve: Curve) -> tuple[Array, Array, Array, Array]:
@@ -54,14 +53,12 @@ def error_over_time(cell: CellResults) -> Canvas | None:
     `CROWD` estimators."""
     units = cell.quantity_units()
     names = cell.chosen([quantity for _, _, quantity, _ in cell.judged
-                         if quantity in units and any((label, quantity) in cell.curves for label in cell.labels)], MOST)
-    labels = [label for label in cell.labels if any((label, name) in cell.curves for name in names)]
+                         if quantity in units and any((label, quantity) in cell.curves for label in cell.ran)], MOST)
+    labels = [label for label in cell.ran if any((label, name) in cell.curves for name in names)]
     if not names:
         return None
-    each = 98.0
-    room = legend_height(labels, cell.width - 8)
-    canvas = Canvas(len(names) * (each + 18) + 24 + room, f"Error over time, {cell.key}", cell.width)
-    for row, name in enumerate(names):
+    sheet = Sheet(f"Error over time, {cell.key}", cell.width, [98.0] * len(names), cell.styled(labels), foot=28)
+    for name in names:
         unit, factor = units[name]
         found = {label: binned_rms(cell.curves[label, name]) for label in labels if (label, name) in cell.curves}
         typical = np.array([np.median(part[1]) for part in found.values()])
@@ -69,9 +66,7 @@ def error_over_time(cell: CellResults) -> Canvas | None:
         y = spanning(*(np.maximum(part[1], np.quantile(part[1], 0.05)) * factor for part in found.values()), log=log,
                      zero=True)
         x = spanning(*(part[0] for part in found.values()), log=False, margin=0.0)
-        last = row == len(names) - 1
-        panel = Panel(canvas, LEFT, 14 + row * (each + 18), cell.width - LEFT - RIGHT, each, x, y,
-                      title=bracket(f"RMS error of {name}", unit), x_label="time [s]" if last else "", x_ticks=last)
+        panel = sheet.panel(x, y, bracket(f"RMS error of {name}", unit))
         for label, (time, _, low, high) in found.items() if len(found) <= CROWD else ():
             panel.band(time, low * factor, high * factor, cell.styles[label].colour)
         for label, (time, root, _, _) in found.items():
@@ -79,8 +74,7 @@ def error_over_time(cell: CellResults) -> Canvas | None:
         time, root = binned_floor(cell.curves[next(iter(found)), name])
         if len(time):
             panel.line(time, root * factor, FLOOR, title="the least possible")
-    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
-    return canvas
+    return sheet.done()
 
 
 def label_room(labels: list[str], width: float) -> float:
@@ -90,7 +84,7 @@ def label_room(labels: list[str], width: float) -> float:
 
 def errors_per_run(cell: CellResults) -> Canvas | None:
     """Each estimator's errors per run as a box (quartiles, median), whiskers (5 % to 95 %) and extremes (dots)."""
-    labels = cell.labels
+    labels = cell.ran
     shown = cell.chosen([quantity for _, _, quantity, _ in cell.judged], MOST if len(labels) <= CROWD else MOST - 1)
     columns = [column for column in cell.judged if column[2] in shown]
     if not columns:

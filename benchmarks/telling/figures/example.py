@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..wording import bracket, some
-from .axes import Panel, Style, legend, legend_height, spanning
+from .axes import Sheet, Style, spanning
 from .canvas import Canvas
 from .data import CellResults
-from .errors import LEFT, MOST, RIGHT
+from .errors import MOST
 
 POINTS = 90
 CROWDED_OUT = 12.0
@@ -27,35 +27,26 @@ def example_run(cell: CellResults) -> Canvas | None:
     units = cell.quantity_units()
     names = cell.chosen([name for name in units if any(
         np.isfinite(track.truth).any() for (label, key), track in cell.kept.items() if key == name and label)], MOST)
-    labels = cell.apart([label for label in cell.labels if any((label, name) in cell.kept for name in names)])
+    labels = cell.apart([label for label in cell.ran if any((label, name) in cell.kept for name in names)])
     if not names:
         return None
-    above, below, gap = 46.0, 74.0, 18.0
-    room = legend_height(labels, cell.width - 8)
-    canvas = Canvas(len(names) * (above + below + 2 * gap) + 24 + room, f"An example run, {cell.key}", cell.width)
-    top = 14.0
+    sheet = Sheet(f"An example run, {cell.key}", cell.width, [46.0, 74.0] * len(names), cell.styled(labels), foot=28)
     for name in names:
         unit, factor = units[name]
         tracks = {label: cell.kept[label, name] for label in labels if (label, name) in cell.kept}
         longest = max(tracks.values(), key=lambda track: len(track.time))
         x = spanning(longest.time, log=False, margin=0.0)
         use = thinned(len(longest.time))
-        truth = Panel(canvas, LEFT, top, cell.width - LEFT - RIGHT, above, x,
-                      spanning(longest.truth * factor, log=False), title=bracket(f"{name}, truth", unit), x_ticks=False)
+        truth = sheet.panel(x, spanning(longest.truth * factor, log=False), bracket(f"{name}, truth", unit))
         truth.line(longest.time[use], longest.truth[use] * factor, Style("ink"))
         errors = {label: (track.time, (track.estimate - track.truth) * factor) for label, track in tracks.items()}
         largest = {label: float(np.abs(np.nan_to_num(error)).max()) for label, (_, error) in errors.items()}
         most = CROWDED_OUT * min((size for size in largest.values() if size > 0), default=0.0)
         off = [label for label, size in largest.items() if size > most]
         y = spanning(*(error for label, (_, error) in errors.items() if label not in off), log=False)
-        panel = Panel(canvas, LEFT, top + above + gap, cell.width - LEFT - RIGHT, below, x, y,
-                      x_ticks=name == names[-1], title=bracket(f"{name}, estimate − truth", unit)
-                      + (f"; off: {some(off)}" if off else ""),
-                      x_label="time [s]" if name == names[-1] else "")
+        panel = sheet.panel(x, y, bracket(f"{name}, estimate − truth", unit) + (f"; off: {some(off)}" if off else ""))
         for label, (time, error) in errors.items():
             use = thinned(len(time))
             inside = np.where((error >= y.low) & (error <= y.high), error, np.nan)
             panel.line(time[use], inside[use], cell.styles[label], width=0.8, title=label)
-        top += above + below + 2 * gap
-    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
-    return canvas
+    return sheet.done()

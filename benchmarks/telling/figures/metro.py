@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ....scenarios.arrays import Array
-from .axes import Panel, Style, legend, legend_height, spanning
+from .axes import Sheet, Style, spanning
 from .canvas import Canvas
 from .data import CellResults, Kept
-from .errors import LEFT, RIGHT
 from .example import thinned
 
 ROWS = (("gradient", "gradient [‰]", 1000.0), ("disturbance", "disturbance [m/s²]", 1.0))
@@ -21,7 +20,7 @@ def speed_profile(cell: CellResults) -> Canvas | None:
     """Speed over position in a kept run, with the estimates of the paper's four estimators (where they are not all
     there, of the best and the worst), the speed that was to be kept and the limit; below it those estimators' errors,
     the line's gradients and the disturbance that the estimators do not know."""
-    labels = [label for label in cell.labels if (label, "position") in cell.kept and (label, "speed") in cell.kept]
+    labels = [label for label in cell.ran if (label, "position") in cell.kept and (label, "speed") in cell.kept]
     if not labels:
         return None
     place, speed = cell.kept[labels[0], "position"], cell.kept[labels[0], "speed"]
@@ -40,29 +39,20 @@ def speed_profile(cell: CellResults) -> Canvas | None:
         if values is not None:
             lines.append((label, values * 3.6, style))
     below = [(title, values * factor) for name, title, factor in ROWS if (values := extra(name)) is not None]
-    names = [label for label, _, _ in lines]
-    room = legend_height(names, cell.width - 8)
-    canvas = Canvas(14 + 90 + 60 * (len(below) + 1) + 26 + room, f"Trip, {cell.key}", cell.width)
-    x = spanning(at, log=False, margin=0.0)
-    use = thinned(len(at))
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 90, x,
-                  spanning(*(values for _, values, _ in lines), log=False, zero=True), title="speed [km/h]",
-                  x_ticks=False)
+    sheet = Sheet(f"Trip, {cell.key}", cell.width, [90, 42, *(42 for _ in below)],
+                  [(label, style) for label, _, style in lines], x_label="position [km]")
+    x, use = spanning(at, log=False, margin=0.0), thinned(len(at))
+    panel = sheet.panel(x, spanning(*(values for _, values, _ in lines), log=False, zero=True), "speed [km/h]")
     for label, values, style in lines:
         panel.line(at[use], values[use], style, width=0.8, title=label)
     errors = {label: (_at(cell, label, place) - speed.truth) * 3.6 for label in ends}
-    off = Panel(canvas, LEFT, 14 + 90 + 18, cell.width - LEFT - RIGHT, 42, x, spanning(*errors.values(), log=False),
-                title="estimate − true speed [km/h]", x_ticks=not below, x_label="" if below else "position [km]")
+    off = sheet.panel(x, spanning(*errors.values(), log=False), "estimate − true speed [km/h]")
     for label, error in errors.items():
         off.line(at[use], error[use], cell.styles[label], width=0.8, title=label)
-    for row, (title, values) in enumerate(below):
-        last = row == len(below) - 1
-        under = Panel(canvas, LEFT, 14 + 90 + 18 + 60 * (row + 1), cell.width - LEFT - RIGHT, 42, x,
-                      spanning(values, log=False, zero=True), title=title, x_ticks=last,
-                      x_label="position [km]" if last else "")
+    for title, values in below:
+        under = sheet.panel(x, spanning(values, log=False, zero=True), title)
         under.line(at[use], values[use], Style("ink"), width=0.8)
-    legend(canvas, room, [(label, style) for label, _, style in lines])
-    return canvas
+    return sheet.done()
 
 
 def _compared(cell: CellResults, labels: list[str]) -> list[str]:
@@ -70,7 +60,7 @@ def _compared(cell: CellResults, labels: list[str]) -> list[str]:
     where it is the same)."""
     if set(FOUR) <= set(labels):
         return list(FOUR)
-    found = {line["estimator"]: line["value"] for line in cell.lines("error", quantity="speed")}
+    found = {line["estimator"]: line["value"] for line in cell.of("error", quantity="speed")}
     known = [label for label in labels if np.isfinite(found.get(label, np.nan))] or labels[:1]
     error = {label: found.get(label, 0.0) for label in known}
     return list(dict.fromkeys((min(known, key=error.__getitem__), max(known, key=error.__getitem__))))

@@ -8,10 +8,9 @@ import numpy as np
 
 from ....scenarios.arrays import Array
 from ....scenarios.moving_block.track import StadiumTrack
-from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
+from .axes import LEFT, RIGHT, Panel, Scale, Sheet, Style, draw_marker, legend, legend_height, spanning
 from .canvas import Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT
 from .example import thinned
 
 LEADER, FOLLOWER, TAG = Style("c0"), Style("c1", (), "square"), Style("muted", (), "diamond")
@@ -22,7 +21,7 @@ INSTANTS, GAPS = 24, 12
 
 def _shown(cell: CellResults) -> str | None:
     """The estimator whose run is drawn: the first Kalman-type one that kept a run, else the first that did."""
-    kept = [label for label in cell.labels if (label, "s-a") in cell.kept]
+    kept = [label for label in cell.ran if (label, "s-a") in cell.kept]
     return next((label for label in kept if label in ("ukf", "ekf", "ckf")), kept[0] if kept else None)
 
 
@@ -81,21 +80,16 @@ def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
             chosen[kind] = cell
     if not chosen:
         return None
-    each = 84.0
-    entries = [("leader", LEADER), ("follower", FOLLOWER), ("gap", TAG)]
-    room = legend_height([name for name, _ in entries], cells[0].width)
-    canvas = Canvas(len(chosen) * (each + 18) + 26 + room, f"Trains over time, {cells[0].scenario}",
-                    cells[0].width)
+    sheet = Sheet(f"Trains over time, {cells[0].scenario}", cells[0].width, [84.0] * len(chosen),
+                  [("leader", LEADER), ("follower", FOLLOWER), ("gap", TAG)], foot=30)
     tracks = {kind: [cell.kept[str(_shown(cell)), name] for name in ("s-a", "s-b")] for kind, cell in chosen.items()}
     alive = [np.isfinite(pair[0].truth) for pair in tracks.values()]
     x = spanning(*(pair[0].time[ok] for pair, ok in zip(tracks.values(), alive, strict=True)), log=False, margin=0.0)
-    for row, (kind, pair) in enumerate(tracks.items()):
-        last = row == len(tracks) - 1
-        panel = Panel(canvas, LEFT, 14 + row * (each + 18), cells[0].width - LEFT - RIGHT, each, x,
-                      spanning(*(way.truth * 100 for way in pair), log=False), x_ticks=last,
-                      title=f"{kind} block, {_shown(chosen[kind])}: way [cm]; mean gap "
-                      f"{_mean_gap(chosen[kind]):.0f} cm",
-                      x_label="time [s]" if last else "")
+    for kind, pair in tracks.items():
+        shown = str(_shown(chosen[kind]))
+        gap = float(np.nanmean(chosen[kind].kept[shown, "gap"].truth)) * 100
+        panel = sheet.panel(x, spanning(*(way.truth * 100 for way in pair), log=False),
+                            f"{kind} block, {shown}: way [cm]; mean gap {gap:.0f} cm")
         for way, style, name in zip(pair, (LEADER, FOLLOWER), ("leader", "follower"), strict=True):
             use = thinned(len(way.time))
             panel.line(way.time[use], way.truth[use] * 100, style, title=name)
@@ -103,35 +97,27 @@ def trains_over_time(cells: Sequence[CellResults]) -> Canvas | None:
         length = float(chosen[kind].setting.config.plant.trains.length)
         for k in steps[thinned(len(steps), GAPS)]:
             ends = panel.points([pair[0].time[k]] * 2, [pair[1].truth[k] * 100, (pair[0].truth[k] - length) * 100])
-            canvas.path(ends, stroke=TAG.colour, width=0.7, title="gap")
-    legend(canvas, room, entries)
-    return canvas
-
-
-def _mean_gap(cell: CellResults) -> float:
-    """Over the time of the run shown, cm."""
-    return float(np.nanmean(cell.kept[str(_shown(cell)), "gap"].truth)) * 100
+            sheet.canvas.path(ends, stroke=TAG.colour, width=0.7, title="gap")
+    return sheet.done()
 
 
 def gap_over_time(cell: CellResults) -> Canvas | None:
     """The true gap in each estimator's own loop, a kept run; d_min(k) of one of them, under which the synchronization
     acts (under moving block); and the distance that must not be undercut."""
-    labels = [label for label in cell.labels if (label, "gap") in cell.kept]
+    labels = [label for label in cell.ran if (label, "gap") in cell.kept]
     if not labels:
         return None
     gaps = {label: (cell.kept[label, "gap"].time, cell.kept[label, "gap"].truth * 100) for label in labels}
     least = float(cell.setting.config.plant.control.safe_gap) * 100
     moving = cell.setting.config.plant.signalling.kind == "moving"
     acting = cell.kept.get((str(_shown(cell)), "kept-distance")) if moving else None
-    entries = [(label, cell.styles[label]) for label in labels]
+    entries = cell.styled(labels)
     if acting is not None:
         entries.append((f"d_min(k), {_shown(cell)}", Style("ink", (1.3, 1.3))))
-    room = legend_height([name for name, _ in entries], cell.width - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Gap, {cell.key}", cell.width)
+    sheet = Sheet(f"Gap, {cell.key}", cell.width, [130], entries)
     x = spanning(*(time[np.isfinite(gap)] for time, gap in gaps.values()), log=False, margin=0.0)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, x,
-                  spanning(*(gap for _, gap in gaps.values()), [0.0], log=False),
-                  title="gap [cm]; dashed: the least admitted", x_label="time [s]")
+    panel = sheet.panel(x, spanning(*(gap for _, gap in gaps.values()), [0.0], log=False),
+                        "gap [cm]; dashed: the least admitted")
     for label, (time, gap) in gaps.items():
         use = thinned(int(np.isfinite(gap).sum()), 400)
         panel.line(time[use], gap[use], cell.styles[label], width=0.9, title=label)
@@ -139,5 +125,4 @@ def gap_over_time(cell: CellResults) -> Canvas | None:
         use = thinned(int(np.isfinite(acting.truth).sum()), 400)
         panel.line(acting.time[use], acting.truth[use] * 100, entries[-1][1], width=0.8, title=entries[-1][0])
     panel.level(least, colour="ink", dash=(3, 2))
-    legend(canvas, room, entries)
-    return canvas
+    return sheet.done()

@@ -6,10 +6,9 @@ import numpy as np
 
 from ....estimators.random_access.bounds import CovarianceBounds
 from ....scenarios.arrays import Array
-from .axes import Panel, Style, legend, legend_height, spanning
+from .axes import Sheet, Style, spanning
 from .canvas import Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT
 from .example import thinned
 
 
@@ -31,14 +30,14 @@ def trace_and_bounds(cell: CellResults) -> Canvas | None:
     mu_k of (26), as far as it is of the others' size, the sigma that the paper claims, and the least one for which
     (30), (31) hold. Other filters' covariances are bounded by none of them and are left out."""
     entries = cell.table["estimators"]
-    labels = [label for label in cell.labels if (label, "trace-covariance") in cell.kept
+    labels = [label for label in cell.ran if (label, "trace-covariance") in cell.kept
               and entries.get(label, {}).get("plugin", label) == BOUNDED]
     bounds = covariance_bounds(cell) if labels else None
     if bounds is None:
         return None
     tracks = {label: cell.kept[label, "trace-covariance"] for label in labels}
     nx = bounds.A.shape[1]
-    shown: list[tuple[str, Style]] = [(label, cell.styles[label]) for label in labels]
+    shown = cell.styled(labels)
     levels: list[tuple[str, float, Style]] = []
     if bounds.lower > 0:
         levels.append(("lower bound (21)", nx * bounds.lower, Style("ink", (4.0, 1.6))))
@@ -54,17 +53,14 @@ def trace_and_bounds(cell: CellResults) -> Canvas | None:
     rising = int(np.argmax(mu > top)) if (mu > top).any() else len(mu)
     upper = Style("muted", (4.0, 1.6))
     shown += [("upper bound μ_k (26)", upper), *((name, style) for name, _, style in levels)]
-    room = legend_height([name for name, _ in shown], cell.width - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Trace of P, {cell.key}", cell.width)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, spanning(time, log=False, margin=0.0),
-                  spanning(*(track.estimate for track in tracks.values()), [value for _, value, _ in levels],
-                           mu[:rising + 1]),
-                  title="trace of P and its bounds", x_label="time [s]")
+    sheet = Sheet(f"Trace of P, {cell.key}", cell.width, [130], shown)
+    panel = sheet.panel(spanning(time, log=False, margin=0.0), spanning(
+        *(track.estimate for track in tracks.values()), [value for _, value, _ in levels], mu[:rising + 1]),
+        "trace of P and its bounds")
     for label, track in tracks.items():
         use = thinned(len(track.time))
         panel.line(track.time[use], track.estimate[use], cell.styles[label], width=0.8, title=label)
     panel.line(time[:rising + 1], mu[:rising + 1], upper, title="upper bound μ_k (26)")
     for name, value, style in levels:
         panel.line(time[[0, -1]], np.array([value, value]), style, title=name)
-    legend(canvas, room, shown)
-    return canvas
+    return sheet.done()

@@ -18,7 +18,7 @@ from .errors import MOST, label_room
 def critical_difference(cells: Sequence[CellResults]) -> Canvas | None:
     """Mean ranks over the variants, one rank each; bars join estimators that are not told apart."""
     names = list(dict.fromkeys(quantity for cell in cells for _, _, quantity, _ in cell.judged))[:MOST]
-    table = pd.DataFrame([line for cell in cells for line in cell.cell.lines])
+    table = pd.DataFrame([line for cell in cells for line in cell.lines])
     found = {name: ranks for name in names if (ranks := over_settings(table, name))}
     if not found:
         return None

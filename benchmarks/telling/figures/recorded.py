@@ -6,10 +6,9 @@ import numpy as np
 
 from ....scenarios.arrays import Array
 from ..wording import bracket
-from .axes import Panel, Style, legend, legend_height, spanning
+from .axes import Panel, Sheet, Style, spanning
 from .canvas import Canvas
 from .data import CellResults
-from .errors import LEFT, RIGHT
 from .example import thinned
 
 BANDS = 2.0
@@ -20,37 +19,32 @@ def recorded_trip(cell: CellResults) -> Canvas | None:
     """Reference speed and estimates above; below, a panel an estimator, the position error of the first kept run with
     its claimed band. Grey: where readings are out."""
     units = cell.quantity_units()
-    labels = [label for label in cell.labels if {(label, "position"), (label, "speed")} <= set(cell.kept)]
+    labels = [label for label in cell.ran if {(label, "position"), (label, "speed")} <= set(cell.kept)]
     if not labels or not {"position", "speed"} <= set(units):
         return None
     (length, to_length), (pace, to_pace) = units["position"], units["speed"]
-    above, each = 84.0, 40.0
-    room = legend_height(["reference", *labels], cell.width - 8)
-    canvas = Canvas(14 + above + len(labels) * (each + 16) + 28 + room, f"Recorded trip, {cell.key}", cell.width)
+    sheet = Sheet(f"Recorded trip, {cell.key}", cell.width, [84.0, *(40.0 for _ in labels)],
+                  [("reference", Style("ink")), *cell.styled(labels)], gap=16, foot=28)
     first = cell.kept[labels[0], "speed"]
     x, out = spanning(first.time, log=False, margin=0.0), _outages(cell)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, above, x,
-                  spanning(*(cell.kept[label, "speed"].estimate * to_pace for label in labels), log=False),
-                  title=bracket("speed", pace), x_ticks=False)
+    panel = sheet.panel(x, spanning(*(cell.kept[label, "speed"].estimate * to_pace for label in labels), log=False),
+                        bracket("speed", pace))
     _shade(panel, out)
     for label in labels:
         track = cell.kept[label, "speed"]
         use = thinned(len(track.time))
         panel.line(track.time[use], track.estimate[use] * to_pace, cell.styles[label], width=0.8, title=label)
     panel.line(first.time, first.truth * to_pace, Style("ink"), width=1.2, title="reference")
-    for row, label in enumerate(labels):
-        track, last = cell.kept[label, "position"], row == len(labels) - 1
+    for label in labels:
+        track = cell.kept[label, "position"]
         error, band = (track.estimate - track.truth) * to_length, BANDS * track.sd * to_length
         shown = [error, band, -band] if np.isfinite(band).any() else [error]
-        under = Panel(canvas, LEFT, 14 + above + 16 + row * (each + 16), cell.width - LEFT - RIGHT, each, x,
-                      spanning(*shown, log=False), title=bracket(f"position error of {label}", length), x_ticks=last,
-                      x_label="time [s]" if last else "")
+        under = sheet.panel(x, spanning(*shown, log=False), bracket(f"position error of {label}", length))
         _shade(under, out)
         under.band(track.time, -band, band, cell.styles[label].colour)
         use = thinned(len(track.time))
         under.line(track.time[use], error[use], Style(cell.styles[label].colour), width=0.9, title=label)
-    legend(canvas, room, [("reference", Style("ink")), *((label, cell.styles[label]) for label in labels)])
-    return canvas
+    return sheet.done()
 
 
 def errors_by_outage(cell: CellResults) -> Canvas | None:
@@ -60,18 +54,16 @@ def errors_by_outage(cell: CellResults) -> Canvas | None:
         return None
     name, factor = cell.unit("rmse", "position-outage-end", "m")
     places, errors = cell.values(begin), cell.values(error)
-    labels = [label for label in cell.labels if np.isfinite(errors[label]).any()]
-    room = legend_height(labels, cell.width - 8)
-    canvas = Canvas(14 + 130 + 26 + room, f"Errors by outage, {cell.key}", cell.width)
+    labels = [label for label in cell.ran if np.isfinite(errors[label]).any()]
+    sheet = Sheet(f"Errors by outage, {cell.key}", cell.width, [130], cell.styled(labels),
+                  x_label="the outage begins at [s]")
     usual = [np.maximum(errors[label], np.nanquantile(errors[label], 0.1)) * factor for label in labels]
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, spanning(*places.values(), log=False, margin=0.02),
-                  spanning(*usual, zero=True),
-                  title=bracket("position error at the outage's end", name), x_label="the outage begins at [s]")
+    panel = sheet.panel(spanning(*places.values(), log=False, margin=0.02), spanning(*usual, zero=True),
+                        bracket("position error at the outage's end", name))
     for label in labels:
         order = np.argsort(places[label], kind="stable")
         panel.line(places[label][order], errors[label][order] * factor, cell.styles[label], width=0.9, title=label)
-    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
-    return canvas
+    return sheet.done()
 
 
 def _outages(cell: CellResults) -> list[tuple[float, float]]:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from ....scenarios.arrays import Array
-from .axes import Panel, Scale, Style, legend, legend_height, spanning
+from .axes import Scale, Sheet, Style, spanning
 from .canvas import Canvas
 from .data import CellResults, Kept
-from .errors import LEFT, RIGHT
 from .example import thinned
 
 ROUNDING = 1e-6
@@ -25,7 +24,7 @@ def _asked(cell: CellResults, form: str) -> list[dict[str, Any]]:
 
 def _tracks(cell: CellResults, quantity: str, claimed: bool = False) -> dict[str, Kept]:
     """The first kept run's trajectory of a quantity by estimator (those that claim a width only)."""
-    found = {label: cell.kept[label, quantity] for label in cell.labels if (label, quantity) in cell.kept}
+    found = {label: cell.kept[label, quantity] for label in cell.ran if (label, quantity) in cell.kept}
     return {label: track for label, track in found.items() if not claimed or np.isfinite(track.sd).any()}
 
 
@@ -42,22 +41,21 @@ def error_under_allowance(cell: CellResults) -> Canvas | None:
     at, use = first.truth / 1000.0, thinned(len(first.time))
     allowed = np.where(known, asked[0]["constant"] + asked[0]["share"] * away, np.nan)
     errors = {label: np.where(known, track.estimate - track.truth - shift, np.nan) for label, track in tracks.items()}
-    room = legend_height([*errors, "allowed"], cell.width - 8)
-    canvas = Canvas(14 + 150 + 26 + room, f"Error under the allowance, {cell.key}", cell.width)
+    limit = Style("ink", (4.0, 1.6))
+    sheet = Sheet(f"Error under the allowance, {cell.key}", cell.width, [150],
+                  [*cell.styled([*errors]), ("allowed", limit)], x_label="position [km]")
     largest = np.abs(np.nan_to_num([*errors.values()])).max()
     highest = float(np.clip(largest, 1.2 * np.nanmax(allowed), 2.5 * np.nanmax(allowed)))
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 150, spanning(at, log=False, margin=0.0),
-                  Scale(-highest, highest), title="error of the distance since the last balise [m]",
-                  x_label="position [km]")
+    panel = sheet.panel(spanning(at, log=False, margin=0.0), Scale(-highest, highest),
+                        "error of the distance since the last balise [m]")
     panel.band(at[use], -allowed[use], allowed[use], "muted", 0.18)
     for place in np.flatnonzero(np.diff(away) < -1.0):
         panel.line([at[place + 1]] * 2, [-highest, -0.92 * highest], Style("ink"), width=1.2, title="balise")
     for label, error in errors.items():
         panel.line(at[use], error[use], cell.styles[label], width=0.8, title=label)
     for sign in (1, -1):
-        panel.line(at[use], sign * allowed[use], Style("ink", (4.0, 1.6)), width=0.8, title="allowed")
-    legend(canvas, room, [*((label, cell.styles[label]) for label in errors), ("allowed", Style("ink", (4.0, 1.6)))])
-    return canvas
+        panel.line(at[use], sign * allowed[use], limit, width=0.8, title="allowed")
+    return sheet.done()
 
 
 def width_against_misses(cell: CellResults) -> Canvas | None:
@@ -69,22 +67,20 @@ def width_against_misses(cell: CellResults) -> Canvas | None:
         return None
     inside, width = cell.values(f"inside:{name}:1"), cell.values(columns[0])
     found = {label: (1 - float(np.nanmean(inside[label])), float(np.nanmedian(width[label])),
-                     float(np.isfinite(inside[label]).sum())) for label in cell.labels
+                     float(np.isfinite(inside[label]).sum())) for label in cell.ran
              if np.isfinite(inside[label]).any()}
     if not found:
         return None
     floor = 1e-4
-    room = legend_height(list(found), cell.width - 8)
-    canvas = Canvas(14 + 130 + 28 + room, f"Width against misses, {cell.key}", cell.width)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 130, Scale(floor / 2, 1.0, True),
-                  spanning(*([w] for _, w, _ in found.values()), margin=0.2), title="half-width claimed [m], median",
-                  x_label=f"share of time missed (left edge: under {floor:g})")
+    sheet = Sheet(f"Width against misses, {cell.key}", cell.width, [130], cell.styled([*found]),
+                  x_label=f"share of time missed (left edge: under {floor:g})", foot=28)
+    panel = sheet.panel(Scale(floor / 2, 1.0, True), spanning(*([w] for _, w, _ in found.values()), margin=0.2),
+                        "half-width claimed [m], median")
     target = 1 - asked[0].get("accept", 0.99)
     panel.line([target, target], [panel.y.low, panel.y.high], Style("ink", (4.0, 1.6)), width=0.7, title="asked")
     for label, (miss, half, _) in found.items():
         panel.mark(max(miss, floor / 2), half, cell.styles[label], title=f"{label}: {miss:.4g}, {half:.3g} m")
-    legend(canvas, room, [(label, cell.styles[label]) for label in found], markers=True)
-    return canvas
+    return sheet.done(markers=True)
 
 
 def claim_against_error(cell: CellResults) -> Canvas | None:
@@ -105,16 +101,14 @@ def claim_against_error(cell: CellResults) -> Canvas | None:
     everything = np.concatenate([np.concatenate(pair) for pair in pairs.values()])
     everything = everything[np.isfinite(everything) & (everything > ROUNDING)]
     scale = spanning(np.maximum(everything, 0.02), log=True)
-    room = legend_height(list(pairs), cell.width - 8)
-    canvas = Canvas(14 + 170 + 28 + room, f"Claim against error, {cell.key}", cell.width)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 170, scale, scale, title="half-width claimed [m]",
-                  x_label="|error| [m]; grey: the claim misses the truth")
+    sheet = Sheet(f"Claim against error, {cell.key}", cell.width, [170], cell.styled([*pairs]),
+                  x_label="|error| [m]; grey: the claim misses the truth", foot=28)
+    panel = sheet.panel(scale, scale, "half-width claimed [m]")
     ends = np.array([scale.low, scale.high])
     panel.band(ends, np.full(2, scale.low), ends, "muted", 0.25)
     panel.line(ends, ends, Style("ink"), width=0.8, title="claim = error")
     for label, (error, claim) in pairs.items():
         use = np.isfinite(error + claim)
-        canvas.dots(panel.points(np.maximum(error[use], scale.low), np.maximum(claim[use], scale.low)),
-                    cell.styles[label].colour, 1.8)
-    legend(canvas, room, [(label, cell.styles[label]) for label in pairs], markers=True)
-    return canvas
+        sheet.canvas.dots(panel.points(np.maximum(error[use], scale.low), np.maximum(claim[use], scale.low)),
+                          cell.styles[label].colour, 1.8)
+    return sheet.done(markers=True)

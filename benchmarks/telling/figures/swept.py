@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from .axes import Panel, Scale, Style, legend, legend_height, spanning
+from .axes import Panel, Scale, Sheet, Style, spanning
 from .canvas import Canvas
-from .errors import LEFT, RIGHT
 
 
 def over_key(part: pd.DataFrame, key: str, label: str, styles: Mapping[str, Style]) -> Canvas:
@@ -23,14 +22,11 @@ def over_key(part: pd.DataFrame, key: str, label: str, styles: Mapping[str, Styl
     if not y_scale.log:
         y_scale = spanning(low, high, margin=0.04)
     names = [name for name in styles if name in {*part["estimator"]}]
-    width, height = 340.0, 150.0
-    room = legend_height(names, width - 8)
-    canvas = Canvas(14 + height + 26 + room, f"{label} over {key}", width)
+    sheet = Sheet(f"{label} over {key}", 340.0, [150.0], [(name, styles[name]) for name in names], x_label=key)
     x_scale = spanning(x, log=bool(numbers.notna().all() and (x > 0).all() and x.max() > 20 * x.min()))
-    panel = Panel(canvas, LEFT, 14, width - LEFT - RIGHT, height, x_scale, y_scale, title=label, x_label=key,
-                  x_ticks=bool(numbers.notna().all()))
+    panel = sheet.panel(x_scale, y_scale, label, x_ticks=bool(numbers.notna().all()))
     if numbers.isna().any():
-        _words(canvas, panel, x_scale, [str(value) for value in values])
+        _words(sheet.canvas, panel, x_scale, [str(value) for value in values])
     for name in names:
         mine = part["estimator"] == name
         panel.band(x[mine], low[mine], high[mine], styles[name].colour)
@@ -38,8 +34,7 @@ def over_key(part: pd.DataFrame, key: str, label: str, styles: Mapping[str, Styl
         for at, here in zip(x[mine], value[mine], strict=True):
             if np.isfinite(here):
                 panel.mark(float(at), float(here), styles[name], size=1.8, title=f"{name}, {key} = {at:g}: {here:.4g}")
-    legend(canvas, room, [(name, styles[name]) for name in names])
-    return canvas
+    return sheet.done()
 
 
 def _words(canvas: Canvas, panel: Panel, scale: Scale, words: list[str]) -> None:

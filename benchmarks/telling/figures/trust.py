@@ -8,15 +8,15 @@ import numpy as np
 
 from ...judging.statistics import chi_square_interval
 from ..wording import counted
-from .axes import Panel, Scale, Style, draw_marker, legend, legend_height, spanning
+from .axes import RIGHT, Panel, Scale, Sheet, Style, draw_marker, spanning
 from .canvas import Canvas
 from .data import CellResults
-from .errors import BINS, LEFT, RIGHT, label_room
+from .errors import BINS, label_room
 
 
 def nees_over_time(cell: CellResults) -> Canvas | None:
     """NEES averaged over the runs at single steps, divided by the number of states, and the chi-square interval."""
-    claimed = {line["estimator"] for line in cell.lines("consistency", "nees")}
+    claimed = {line["estimator"] for line in cell.of("consistency", "nees")}
     states = {str(label): int(part["nees_states"].max()) for label, part in cell.rows.groupby("estimator", sort=False)
               if label in claimed}
     runs = max((int(cell.curves[label, "nees"].active.max(initial=0.0)) for label in states
@@ -26,7 +26,7 @@ def nees_over_time(cell: CellResults) -> Canvas | None:
 
 def nis_over_time(cell: CellResults) -> Canvas | None:
     """NIS averaged over what all runs received at single steps, and its chi-square interval. Needs no truth."""
-    return _over_time(cell, "nis", dict.fromkeys(cell.labels, 1), "NIS", "NIS / elements received, mean over the runs")
+    return _over_time(cell, "nis", dict.fromkeys(cell.ran, 1), "NIS", "NIS / elements received, mean over the runs")
 
 
 def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: str, title: str) -> Canvas | None:
@@ -46,23 +46,20 @@ def _over_time(cell: CellResults, quantity: str, degrees: dict[str, int], name: 
     if not len(time):
         return None
     limits = np.array([chi_square_interval(round(n), usual) for n in active])
-    room = legend_height(labels, cell.width - 8)
-    canvas = Canvas(166 + room, f"{name} over time, {cell.key}", cell.width)
     usually = [np.maximum(values, max(float(np.quantile(values, 0.05)), 1e-3)) for _, values, _ in lines.values()]
     y = spanning(*usually, limits, log=True)
-    panel = Panel(canvas, LEFT, 14, cell.width - LEFT - RIGHT, 122, spanning(time, log=False, margin=0.0), y,
-                  title=title, x_label="time [s]")
+    sheet = Sheet(f"{name} over time, {cell.key}", cell.width, [122], cell.styled(labels), foot=30)
+    panel = sheet.panel(spanning(time, log=False, margin=0.0), y, title)
     panel.band(time, limits[:, 0], limits[:, 1], "muted", 0.3)
     panel.level(1.0, colour="ink")
     for label, (at, value, _) in lines.items():
         panel.line(at, value, cell.styles[label], width=0.8, title=label)
-    legend(canvas, room, [(label, cell.styles[label]) for label in labels])
-    return canvas
+    return sheet.done()
 
 
 def certified_against_measured(cell: CellResults) -> Canvas | None:
     """Mean-square bounds that estimators certify (bars) beside the mean squares measured, with 95 % intervals."""
-    checks = {line["estimator"]: line for line in cell.lines("claim", "bound")}
+    checks = {line["estimator"]: line for line in cell.of("claim", "bound")}
     if not checks:
         return None
     left, step = label_room(list(checks), cell.width), 16.0

@@ -47,7 +47,7 @@ def write_report(folder: str | Path, out: str | Path | None = None, published: M
 
 def render(results: Results, published: Mapping[str, Any] | None = None) -> str:
     """The page's HTML."""
-    cells = [cell.cell for found in results.scenarios.values() for cell in found]
+    cells = [cell for found in results.scenarios.values() for cell in found]
     view = matrix(cells)
     told = papers(published) if published is not None else []
     return laid_out(
@@ -55,7 +55,7 @@ def render(results: Results, published: Mapping[str, Any] | None = None) -> str:
         words=_first_words(cells, int(results.manifest["configuration"]["runs"]), told),
         families=families_in_words(cells, results.manifest["estimators"], view.families),
         sections=[section(results, name, found) for name, found in results.scenarios.items()],
-        tuned={name: tuned_table([cell.cell for cell in found]) for name, found in results.scenarios.items()},
+        tuned={name: tuned_table(found) for name, found in results.scenarios.items()},
         published=told, facts=facts(results))
 
 

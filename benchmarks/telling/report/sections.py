@@ -101,11 +101,11 @@ def section(results: Results, name: str, cells: Sequence[CellResults]) -> Sectio
     """A scenario's part. Figures of the settings are drawn for the default variant alone, all in files by `plot`."""
     drawings: dict[str, list[tuple[Figure, Markup]]] = {}
     for figure in FIGURES:
-        if figure.name not in FOR_EACH and not (figure.name == "nis" and cells[0].lines("consistency", "nees")):
+        if figure.name not in FOR_EACH and not (figure.name == "nis" and cells[0].of("consistency", "nees")):
             for variant, canvas in of_scenario(figure, cells if figure.draw_all else cells[:1]):
                 drawings.setdefault(variant, []).append((figure, _drawn(canvas)))
     about = cells[0].about
-    return Section(anchor(name), name, about["title"], about["source"], over_variants([cell.cell for cell in cells]),
+    return Section(anchor(name), name, about["title"], about["source"], over_variants(cells),
                    fault_table(cells), drawings.get("", []),
                    [variant_of(cell, str(results.folder), drawings.get(cell.variant, [])) for cell in cells])
 
@@ -117,15 +117,15 @@ def _drawn(canvas: Canvas) -> Markup:
 def variant_of(cell: CellResults, folder: str, figures: list[tuple[Figure, Markup]]) -> Variant:
     """A variant's part."""
     about = cell.about["variants"][cell.variant]
-    words = [finding(cell.cell, ranking) for ranking in cell.cell.rankings]
-    words += filter(None, [claims_of(cell.cell), *requirements_of(cell.cell)])
-    drawing, panels = curves(cell, cell.cell.rankings[0]) if cell.cell.rankings else ("", 0)
-    first = cell.cell.rankings[0] if cell.cell.rankings else None
+    words = [finding(cell, ranking) for ranking in cell.rankings]
+    words += filter(None, [claims_of(cell), *requirements_of(cell)])
+    drawing, panels = curves(cell, cell.rankings[0]) if cell.rankings else ("", 0)
+    first = cell.rankings[0] if cell.rankings else None
     return Variant(
-        anchor(cell.scenario, cell.variant), cell.key, cell.cell.title, words,
+        anchor(cell.scenario, cell.variant), cell.key, cell.title, words,
         [(Markup(ranked(r)), f"{least(r)} Dot and 95 % interval of each entry alone; right, the ratio over the same "
-          "runs, on which the verdict rests; shaded: ±1 %.") for r in cell.cell.rankings[:PLOTS]],
-        table(cell.cell), failures(cell, folder), notes_of(about), Markup(drawing), panels,
+          "runs, on which the verdict rests; shaded: ±1 %.") for r in cell.rankings[:PLOTS]],
+        table(cell), failures(cell, folder), notes_of(about), Markup(drawing), panels,
         f"Root mean square error of {first.quantity} [{first.unit}] over the runs that finished; grey: the best's."
         if first else "", figures)
 
@@ -249,16 +249,16 @@ def fault_table(cells: Sequence[CellResults]) -> Table | None:
     kinds = {cell.variant: ", ".join(dict.fromkeys(map(_fault, cell.table.get("faults") or ()))) for cell in cells}
     if not any(kinds.values()):
         return None
-    labels = list(dict.fromkeys(label for cell in cells for label in cell.cell.labels))
+    labels = list(dict.fromkeys(label for cell in cells for label in cell.labels))
     lines: list[tuple[str, list[Entry]]] = []
     broken: dict[float, set[str]] = {}
     for cell in cells:
-        ranking = cell.cell.rankings[0] if cell.cell.rankings else None
+        ranking = cell.rankings[0] if cell.rankings else None
         faults = list(cell.table.get("faults") or ())
         alone = len(faults) == 1 and faults[0]["kind"] == "outliers" and faults[0].get("sign", "both") == "both"
         fell = broken.setdefault(faults[0]["share"], set()) if alone and faults[0].get("share") else set()
-        locked = {line["estimator"]: line["value"] for line in cell.lines("share", "locked") if line["value"] > 0}
-        back = {line["estimator"]: line for line in cell.lines("value", "recovery") if line["runs"]}
+        locked = {line["estimator"]: line["value"] for line in cell.of("share", "locked") if line["value"] > 0}
+        back = {line["estimator"]: line for line in cell.of("value", "recovery") if line["runs"]}
         entries = [Entry(kinds[cell.variant] or "none")]
         for label in labels:
             line = ranking.line(label) if ranking else None
