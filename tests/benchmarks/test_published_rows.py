@@ -59,7 +59,8 @@ def test_what_is_asked_of_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(zou2018, what, bound(what, value))
     monkeypatch.setattr(zou2018, "read_gain", lambda name: gain if name == "zou2018_gain.csv" else None)
     made = {forces: zou2018._certificates.__wrapped__(forces) for forces in ("remark-2", "dominant")}
-    assert zou2018._greatest_decay.__wrapped__() == 0.9
+    book: Any = None
+    assert zou2018.zou_decay(book) == Found(0.9)
     assert [(what, *given) for what, _, *given in told] == [
         ("ultimate_bound", 0.98), ("certify", gain, 0.98)] * 2 + [("corollary2", None)]
     systems = [system for _, system, *_ in told]
@@ -67,7 +68,6 @@ def test_what_is_asked_of_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     for one in systems:
         assert (one.A == systems[0].A).all() and (one.delta == systems[0].delta).all()
     monkeypatch.setattr(zou2018, "_certificates", lambda forces: made[forces])
-    book: Any = None
     assert zou2018.zou_excess(book, "dominant") == Found(1.5) and zou2018.zou_solvable(book) == Found(1.0)
     for columns, part in (("position", gain[:, :6]), ("velocity", gain[:, 6:])):
         assert zou2018.zou_distance(book, "remark-2", columns).value == pytest.approx(
