@@ -75,9 +75,7 @@ def _own(x: Array, y: Array, sd: Array) -> tuple[Array, Array]:
         k = corners[-1]
         if np.hypot(x[i] - x[k], y[i] - y[k]) > max(APART, CLEAR * np.hypot(sd[i], sd[k])):
             corners.append(i)
-    if corners[-1] != len(x) - 1 and len(corners) > 1:
-        corners.append(len(x) - 1)
-    if len(corners) == 1:
+    if corners[-1] != len(x) - 1:
         corners.append(len(x) - 1)
     turn = np.array(corners)
     dx, dy = np.diff(x[turn]), np.diff(y[turn])
