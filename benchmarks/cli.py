@@ -4,6 +4,8 @@ Exit codes: 0 done, 1 a check failed, 2 the input is wrong, 130 interrupted. Thi
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -93,6 +95,7 @@ def main() -> None:
             said.add(text)
             print(f"warning: {visible(text)}", file=sys.stderr)
 
+    atexit.register(gc.freeze)  # who ends need not look for garbage first
     warnings.showwarning = warn
     kept: Sequence[int] = ()
     for name in ("stdout", "stderr"):

@@ -5,6 +5,7 @@ Every random number of the suite comes from here: there is no global generator."
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from .arrays import Array, Mask
 
+MANY = 1000  # from so many runs on compiled code draws uniform numbers, to the same bits
 BLOCK = 16  # runs drawn before they are laid out along the last axis: what is scattered stays in the cache
 
 
@@ -58,6 +60,15 @@ class RunRandom:
 
     def uniform(self, low: float, high: float, *shape: int, which: Mask | None = None) -> Array:
         """Uniform draws in [low, high), shape (*shape, S). which (S,): as in `normal`."""
+        if len(self.runs) >= MANY:
+            from .philox import uniform  # here: few runs are not worth its compilation
+
+            out = (np.empty if which is None else np.zeros)((math.prod(shape), len(self.runs)))
+            uniform(np.array(self._key, dtype=np.uint64), np.where(True if which is None else which, self.drawn, -1),
+                    np.array(self.runs), low, high - low, out)
+            self.drawn += 1 if which is None else which
+            return out.reshape(*shape, len(self.runs))
+
         def fill(source: np.random.Generator, out: Array) -> None:
             source.random(out=out)
             out *= high - low
@@ -82,7 +93,7 @@ class RunRandom:
         state = {"bit_generator": "Philox", "state": {"counter": counter, "key": self._key}, "buffer": [0] * 4,
                  "buffer_pos": 4, "has_uint32": 0, "uinteger": 0}
         drawn = self.drawn.tolist()
-        out = np.zeros((int(np.prod(shape)), runs), dtype)
+        out = np.zeros((math.prod(shape), runs), dtype)
         rows = np.zeros((min(BLOCK, runs), len(out)), dtype)
         for first in range(0, runs, BLOCK):
             block = rows[:runs - first]

@@ -28,13 +28,15 @@ def make_tasks(plan: Plan, done: Mapping[tuple[str, str], set[int]], jobs: int, 
         count = max(plan.runs, cell.runs)
         share = count if len(plan.cells) >= 2 * jobs else -(-count // jobs)
         size = batch or -(-share // -(-share // min(BLOCK, room)))  # alike, so that no process waits for another
+        there = {label: done.get((cell.key, label), set[int]()) for label in cell.entries}
+        ours = [label for label in cell.entries if own(cell, label)]
         missing: dict[tuple[str, ...], list[int]] = {}
         for run in range(count):
-            labels = [label for label in cell.entries if run not in done.get((cell.key, label), ())]
-            together = tuple(label for label in labels if own(cell, label))
-            for part in (together, *((label,) for label in labels if label not in together)):
-                if part:
-                    missing.setdefault(part, []).append(run)
+            together = tuple([label for label in ours if run not in there[label]])
+            if together:
+                missing.setdefault(together, []).append(run)
+        for label in [label for label in cell.entries if label not in ours]:
+            missing[label,] = [run for run in range(count) if run not in there[label]]
         for labels, runs in missing.items():
             for first in range(0, len(runs), size):
                 block = tuple(runs[first:first + size])

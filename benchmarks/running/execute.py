@@ -26,7 +26,7 @@ from ..planning.tasks import ROOM
 from ..scoring.floor import Floor, floor_of
 from ..scoring.stretch import Stretch
 from .drive import Driven, drive, prepare
-from .result import Result, failed, identity, joined
+from .result import Result, arrow_table, failed, identity, joined
 
 Columns = dict[str, Any]
 TRACE = 20_000
@@ -82,7 +82,7 @@ class _Worlds:
             return self.shared
         return self._make(runs)
 
-    def floor(self, world: World, positions: tuple[int, ...], predicted: bool) -> Floor | None:
+    def floor(self, world: World, positions: Sequence[int], predicted: bool) -> Floor | None:
         """The least errors possible of some of the task's runs, in open loop; predicted: before the measurements."""
         if world.closed_loop:
             return None
@@ -164,7 +164,7 @@ class _Block:
         random = Streams(self.task.seed, cell.scenario, cell.variant, runs)("estimator", self.label)
         self._warm_up(runs, world)
         predicted = self.setting.config.score.at == "prediction" and estimator.predicts
-        places = tuple(map(self.task.runs.index, runs))
+        places = range(len(runs)) if runs == self.task.runs else tuple(map(self.task.runs.index, runs))
         floor = None if estimator.lag != 0 else self.worlds.floor(world, places, predicted)
         return drive(self.setting, world, estimator, model, random, watch if watch.wanted else None, floor)
 
@@ -194,7 +194,7 @@ class _Block:
 
     def _curves(self, runs: tuple[int, ...], driven: Driven) -> list[pa.Table]:
         """Sums over the runs that finished, as rows are judged: where some were lost, the others are driven again."""
-        finished = tuple(run for run, status in zip(runs, driven.scored.status, strict=True) if status == Status.ok)
+        finished = tuple(np.array(runs)[driven.scored.status == Status.ok].tolist())
         if not finished:
             return []
         if len(finished) < len(runs):
@@ -205,18 +205,18 @@ class _Block:
     def _table(self, runs: tuple[int, ...], driven: Driven) -> pa.Table:
         units = {item.name: item.unit for item in self.setting.quantities()}
         scored = driven.scored
-        names = {status: Status(status).name for status in set(scored.status.tolist())}
-        columns = {**identity(self.task, self.label, runs), "status": [names[s] for s in scored.status.tolist()],
-                   "reason": [clean(text) if text else "" for text in scored.reasons],
-                   "exception": [""] * len(runs), "seconds": np.full(len(runs), driven.seconds / len(runs)),
-                   "steps": pa.array(driven.steps.astype(np.int32)),
-                   "nees_states": pa.array([scored.nees_states] * len(runs), pa.int32())}
+        statuses, n = scored.status.tolist(), len(runs)
+        names, dimension = {status: Status(status).name for status in set(statuses)}, scored.nees_states
+        columns = {**identity(self.task, self.label, runs), "status": [names[status] for status in statuses],
+                   "reason": [clean(text) if text else "" for text in scored.reasons], "exception": [""] * n,
+                   "seconds": np.full(n, driven.seconds / n), "steps": driven.steps.astype(np.int32),
+                   "nees_states": pa.nulls(n, pa.int32()) if dimension is None else np.full(n, dimension, np.int32)}
         for (metric, quantity), values in scored.metrics.items():
             unit = units.get(quantity, "1")
             columns[f"{metric}:{quantity}:{f'{unit}^2' if metric == 'sum-squared' else unit}"] = values
         for (metric, quantity, unit), values in driven.outcomes.items():
             columns[f"{metric}:{quantity}:{unit}"] = np.asarray(values, dtype=float)
-        return pa.table(columns)
+        return arrow_table(columns)
 
 
 def _caught(task: Task, label: str) -> tuple[type[BaseException], ...]:
@@ -254,9 +254,9 @@ def _curves(task: Task, label: str, setting: Setting[Any], driven: Driven) -> li
         if curves[f"{name}-count"].any():
             tables.append((name, curves[f"{name}-count"][steps], curves[name][steps], zero, zero, none))
     n = len(steps)
-    return [pa.table({
+    return [arrow_table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
-        "step": pa.array(steps, pa.int32()), "time": times[steps], "quantity": [name] * n,
+        "step": steps.astype(np.int32), "time": times[steps], "quantity": [name] * n,
         "active": active, "squared": squared, "fourth": fourth, "error": error, "floor": floor,
     }) for name, active, squared, fourth, error, floor in tables]
 
@@ -265,9 +265,9 @@ def _trajectory(task: Task, label: str, run: int, times: np.ndarray, steps: np.n
                 truth: np.ndarray, estimate: np.ndarray | None = None, sd: np.ndarray | None = None) -> pa.Table:
     n = len(steps)
     nothing = np.full(n, np.nan)
-    return pa.table({
+    return arrow_table({
         "scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
-        "run": pa.array([run] * n, pa.int32()), "step": pa.array(steps, pa.int32()),
+        "run": np.full(n, run, np.int32), "step": steps.astype(np.int32),
         "time": times[steps], "name": [name] * n, "truth": truth,
         "estimate": nothing if estimate is None else estimate, "sd": nothing if sd is None else sd,
     })

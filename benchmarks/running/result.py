@@ -40,17 +40,33 @@ def joined(tables: Sequence[pa.Table]) -> pa.Table:
     return pa.concat_tables(tables, promote_options="default")
 
 
+def arrow_table(columns: dict[str, Any]) -> pa.Table:
+    """A table of arrays of numbers and lists of texts. `pa.array` would import pandas, in every worker."""
+    return pa.table({name: _column(values) for name, values in columns.items()})
+
+
+def _column(values: Any) -> pa.Array:
+    if isinstance(values, np.ndarray):
+        return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values),
+                                     [None, pa.py_buffer(np.ascontiguousarray(values))])
+    if isinstance(values, list):
+        texts = [text.encode() for text in values]
+        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+        return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends), pa.py_buffer(b"".join(texts)))
+    return values
+
+
 def identity(task: Task, label: str, runs: Sequence[int]) -> dict[str, Any]:
     """The first columns of rows."""
     n = len(runs)
     return {"scenario": [task.cell.scenario] * n, "variant": [task.cell.variant] * n, "estimator": [label] * n,
-            "run": pa.array(runs, pa.int32())}
+            "run": np.array(runs, np.int32)}
 
 
 def failed(task: Task, label: str, runs: Sequence[int], status: Status, reason: str, trace: str = "") -> pa.Table:
     """Rows of runs without numbers."""
     n = len(runs)
-    return pa.table({**identity(task, label, runs), "status": [status.name] * n, "reason": [reason] * n,
+    return arrow_table({**identity(task, label, runs), "status": [status.name] * n, "reason": [reason] * n,
                      "exception": [trace] * n, "seconds": np.zeros(n)})
 
 

@@ -5,6 +5,8 @@ suite's own code never runs in this process nor beside the suite's own: if it di
 
 from __future__ import annotations
 
+import atexit
+import gc
 import multiprocessing
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
@@ -55,6 +57,8 @@ class _Lost(Exception):
 
 
 def _numbered(number: int, task: Task) -> tuple[int, Result]:
+    atexit.unregister(gc.freeze)
+    atexit.register(gc.freeze)  # who ends need not look for garbage first
     return number, execute(task)
 
 

@@ -17,7 +17,7 @@ from ..machine_code import njit
 from ..schema import Strict
 from ..strict import key
 from ..units import KMH
-from .dynamics import GRAVITY, climb, effect, level, share
+from .dynamics import GRAVITY, climb, climbs, effect, level, share
 from .line import Line, Train
 
 
@@ -143,31 +143,42 @@ class Trip:
 def simulate(line: Line, train: Train, controller: Controller, plan: Reference, ease: Array,
              start: tuple[float, float], period: float, w: Array, factors: Array, bound: float,
              physical: bool) -> Trip:
-    """The trips of all runs. w (K, S) and factors (5, S) as `Disturbance` draws them; ease (sections,): the train's own
+    """The trips of all runs. w (K, S), overwritten by what acted, and factors (5, S) as `Disturbance` draws them; ease (sections,): the train's own
     mass over that on each section; start: position m, speed m/s."""
     steps, runs = w.shape
     state, u = np.empty((steps, 2, runs)), np.empty((steps, 1, runs))
-    reference, acted = np.empty((steps, runs)), w.copy()
+    reference = np.empty((steps, runs))
     active, section = np.empty((steps, runs), dtype=np.bool_), np.empty((steps, runs), dtype=np.int16)
     _simulate(train.forces, line.slope(train.rotating), plan.start, plan.base, plan.rate, plan.first,
               np.array(line.stops), ease, np.array(start), period,
               (controller.gain, *controller.effort, controller.slew, controller.ended, controller.overrun),
-              round(controller.dwell / period), factors, bound, GRAVITY / (1 + train.rotating), physical, acted, state,
+              round(controller.dwell / period), factors, bound, GRAVITY / (1 + train.rotating), physical, w, state,
               u, active, section, reference)
-    return Trip(state, u, acted, active, section, reference)
+    return Trip(state, u, w, active, section, reference)
 
 
-@njit(cache=True, inner=True)
-def _effort(a, s, v, forces, slope):  # pyright: ignore
-    """The input u that gives the acceleration a: the inverse of the plant, not yet limited."""
+RUNNING, LANDING, HELD, WAITING, DONE, STOOD = 0, 1, 2, 3, 4, 5
+"""RUNNING follows the reference. LANDING (one step between sections) asks for standstill, HELD (one more) reaches it
+exactly; the residual speed is at most T w_bar, so that w keeps its bound. WAITING counts the dwell. DONE is the first
+step after the trip, STOOD are all others, where nothing changes."""
+TOGETHER = 512
+"""How many runs go side by side: loops over them without a branch or a look-up vectorise."""
+PLACE, SPEED, EFFORT, WANTED, SQUARE, RATE, STEEP, EASE, ACTS, MODE, GONE = range(0, 11 * TOGETHER, TOGETHER)
+"""Where in the numbers of such a block each begins: in one array, so that it is plain that they do not overlap."""
+
+
+@njit(cache=True, error_model="numpy", inner=True)
+def _effort(a, steep, v, forces):  # pyright: ignore
+    """The input u that gives the acceleration a where the gradient takes `steep` off: the inverse of the plant, not yet
+    limited."""
     V = KMH * v
-    force = a + forces.r0 + V * (forces.r1 + V * forces.r2) + climb(s, slope)
+    force = a + forces.r0 + V * (forces.r1 + V * forces.r2) + steep
     top, c0, c1, c2, c3, c4 = effect(force, forces)
     return force / (top * max(share(V, c0, c1, c2, c3, c4), 1e-3))
 
 
-@njit(cache=True, inner=True)
-def _disturbed(s, v, u, forces, slope, mass, pull, hold, rise, wind, g):  # pyright: ignore
+@njit(cache=True, error_model="numpy", inner=True)
+def _disturbed(steep, v, u, forces, mass, pull, hold, rise, wind, g):  # pyright: ignore
     """The acceleration of a train whose mass, forces, gradient and wind are not the nominal ones (page: `physical`).
 
     Rolling resistance is per weight, so the mass leaves it alone; the wind changes the air's part, r2."""
@@ -175,84 +186,103 @@ def _disturbed(s, v, u, forces, slope, mass, pull, hold, rise, wind, g):  # pyri
     top, c0, c1, c2, c3, c4 = effect(u, forces)
     force = top * share(V, c0, c1, c2, c3, c4) * (hold if u < 0.0 else pull)
     drag = forces.r0 + forces.r1 * V + forces.r2 * air * abs(air)
-    return u * force / mass - drag - climb(s, slope) - g * rise
+    return u * force / mass - drag - steep - g * rise
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", inner=True)
+def _control(x, width, forces, T, control):  # pyright: ignore
+    """The effort of each run, and the reference speed that it wants."""
+    gain, least, greatest, slew = control[:4]
+    for i in range(width):
+        v, steep, ease, square, before = x[SPEED + i], x[STEEP + i], x[EASE + i], x[SQUARE + i], x[EFFORT + i]
+        wanted, stopping = np.sqrt(max(square, 0.0)), -v / T
+        # past the stop it brakes to stand at once
+        asked = _effort(0.5 * x[RATE + i] + gain * (wanted - v) if square > 0.0 else stopping, steep, v, forces)
+        asked = min(max(asked, least * ease), greatest * ease)
+        change = slew * ease * T
+        to = min(max(asked, before - change), before + change)
+        V, halt = KMH * v, _effort(stopping, steep, v, forces)
+        stand = stopping + forces.r0 + V * (forces.r1 + V * forces.r2) + steep
+        # brakes bring the train to a stand, not backwards: where all of their force would not, no share of it does
+        to = max(to, halt) if x[GONE + i] != 0.0 and (stand >= 0.0 or stand > to * forces.brake) else to
+        mode = x[MODE + i]
+        x[EFFORT + i] = to if mode == RUNNING else before if mode == STOOD else halt
+        x[WANTED + i] = wanted if mode == RUNNING else 0.0
+
+
+@njit(cache=True, error_model="numpy", inner=True)
+def _move(x, width, forces, T):  # pyright: ignore
+    """Positions and speeds a step later, and what acted of the disturbance."""
+    for i in range(width):
+        v, mode, acts = x[SPEED + i], x[MODE + i], x[ACTS + i]
+        a = level(v, x[EFFORT + i], forces) - x[STEEP + i]
+        # brakes off, but the train does not roll back
+        acts = -v / T - a if mode == RUNNING and x[GONE + i] == 0.0 and v + T * (a + acts) < 0.0 else acts
+        acts = acts if mode <= LANDING else 0.0
+        total = a + acts
+        x[ACTS + i] = acts
+        x[PLACE + i] += 0.0 if mode == STOOD else T * v + 0.5 * T * T * total
+        x[SPEED + i] = v if mode == STOOD else 0.0 if HELD <= mode <= WAITING else v + T * total
+
+
+@njit(cache=True, error_model="numpy")
 def _simulate(forces, slope, start, base, rate, first, stops, ease, begin, T, control, dwell, factors, bound, g,
               physical, w, state, u, active, section, reference):  # pyright: ignore
     """Fill state, u, active, section, reference; w is overwritten by what acted.
 
-    RUNNING follows the reference. LANDING (one step between sections) asks for standstill, HELD (one more) reaches it
-    exactly; the residual speed is at most T w_bar, so that w keeps its bound. WAITING counts the dwell. At standstill
-    u holds the train against gradient and resistance. Efforts are shares of the force on the train's own mass, so what
-    a load leaves of them is ease[leg]."""
-    RUNNING, LANDING_STEP, HELD, WAITING, DONE = 0, 1, 2, 3, 4
-    gain, least, greatest, slew, ended, overrun = control
-    steps, runs = w.shape
-    sections = first.shape[0] - 1
-    for r in range(runs):
-        s, v = begin[0], begin[1]
-        effort = 0.0 if v > 0.0 else _effort(0.0, s, v, forces, slope)  # at rest it is held
-        mode, leg, piece, waited, departed = RUNNING, 0, 0, 0, False
+    At standstill u holds the train against gradient and resistance. Efforts are shares of the force on the train's own
+    mass, so what a load leaves of them is ease[leg]."""
+    ended, overrun = control[4:]
+    (steps, runs), sections = w.shape, first.shape[0] - 1
+    x = np.empty(11 * TOGETHER)
+    leg, piece, waited = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
+    held = 0.0 if begin[1] > 0.0 else _effort(0.0, climb(begin[0], slope), begin[1], forces)  # at rest it is held
+    for block in range(0, runs, TOGETHER):
+        width = min(TOGETHER, runs - block)
+        for i in range(width):
+            x[PLACE + i], x[SPEED + i], x[EFFORT + i], x[EASE + i] = begin[0], begin[1], held, ease[0]
+            x[MODE + i], x[GONE + i], leg[i], piece[i] = RUNNING, 0.0, 0, 0
         for k in range(steps):
-            wanted = 0.0
-            if mode == DONE:
-                v = 0.0
-            if mode == RUNNING:
-                while piece + 1 < first[leg + 1] and s >= start[piece + 1]:
-                    piece += 1
-                square = base[piece] + rate[piece] * (s - start[piece])
-                wanted = np.sqrt(max(square, 0.0))
-                # past the stop it brakes to stand at once
-                a_asked = 0.5 * rate[piece] + gain * (wanted - v) if square > 0.0 else -v / T
-                asked = _effort(a_asked, s, v, forces, slope)
-                asked = min(max(asked, least * ease[leg]), greatest * ease[leg])
-                change = slew * ease[leg] * T
-                effort = min(max(asked, effort - change), effort + change)
-                V = KMH * v
-                stand = -v / T + forces.r0 + V * (forces.r1 + V * forces.r2) + climb(s, slope)
-                if departed and (stand >= 0.0 or stand > effort * forces.brake):
-                    # brakes bring the train to a stand, not backwards: where all of their force would not, no share of
-                    # it does
-                    effort = max(effort, _effort(-v / T, s, v, forces, slope))
-            else:
-                effort = _effort(-v / T, s, v, forces, slope)
-            a = level(v, effort, forces) - climb(s, slope)
-            if mode in (RUNNING, LANDING_STEP):
-                if physical:
-                    off = _disturbed(s, v, effort, forces, slope, factors[0, r], factors[1, r], factors[2, r],
-                                     factors[3, r], factors[4, r], g) - a
-                    w[k, r] = min(max(off, -bound), bound)
-                if mode == RUNNING and not departed and v + T * (a + w[k, r]) < 0.0:
-                    w[k, r] = -v / T - a  # brakes off, but the train does not roll back
-            else:
-                w[k, r] = 0.0
-            total = a + w[k, r]
-            s += T * v + 0.5 * T * T * total
-            v += T * total
-            if mode in (HELD, WAITING):
-                v = 0.0  # but for rounding it is
-            state[k, 0, r], state[k, 1, r], u[k, 0, r] = s, v, effort
-            active[k, r], section[k, r], reference[k, r] = mode != DONE, leg, wanted
-            if mode == DONE:
-                for rest in range(k + 1, steps):
-                    state[rest, 0, r], state[rest, 1, r], u[rest, 0, r], w[rest, r] = s, v, effort, 0.0
-                    active[rest, r], section[rest, r], reference[rest, r] = False, leg, wanted
-                break
-            if mode == RUNNING:
-                departed = departed or v > 1.0
-                if leg + 1 == sections:
-                    if (departed and v <= ended) or s > stops[leg + 1] + overrun:
-                        mode = DONE
-                elif departed and v <= (bound - 0.5 * rate[piece]) * T:
-                    mode = LANDING_STEP
-            elif mode == LANDING_STEP:
-                mode = HELD
-            elif mode == HELD:
-                mode, waited = WAITING, 0
-            elif mode == WAITING:
-                waited += 1
-                if waited >= dwell:
-                    mode, leg, departed = RUNNING, leg + 1, False
-                    piece = first[leg]
+            for i in range(width):
+                s, p = x[PLACE + i], piece[i]
+                while x[MODE + i] == RUNNING and p + 1 < first[leg[i] + 1] and s >= start[p + 1]:
+                    p += 1
+                piece[i] = p
+                x[SQUARE + i], x[RATE + i] = base[p] + rate[p] * (s - start[p]), rate[p]
+            climbs(x[PLACE:PLACE + width], slope, x[STEEP:STEEP + width])
+            _control(x, width, forces, T, control)
+            for i in range(width):
+                x[ACTS + i] = w[k, block + i]
+            if physical:
+                for i in range(width):
+                    v, effort, steep, r = x[SPEED + i], x[EFFORT + i], x[STEEP + i], block + i
+                    off = _disturbed(steep, v, effort, forces, factors[0, r], factors[1, r], factors[2, r],
+                                     factors[3, r], factors[4, r], g) - (level(v, effort, forces) - steep)
+                    x[ACTS + i] = min(max(off, -bound), bound)
+            _move(x, width, forces, T)
+            for i in range(width):
+                r = block + i
+                state[k, 0, r], state[k, 1, r], u[k, 0, r] = x[PLACE + i], x[SPEED + i], x[EFFORT + i]
+                w[k, r], reference[k, r] = x[ACTS + i], x[WANTED + i]
+                active[k, r], section[k, r] = x[MODE + i] < DONE, leg[i]
+            for i in range(width):
+                mode, v = x[MODE + i], x[SPEED + i]
+                if mode == RUNNING:
+                    if v > 1.0:
+                        x[GONE + i] = 1.0
+                    if leg[i] + 1 == sections:
+                        if (x[GONE + i] != 0.0 and v <= ended) or x[PLACE + i] > stops[leg[i] + 1] + overrun:
+                            x[MODE + i], x[SPEED + i] = DONE, 0.0
+                    elif x[GONE + i] != 0.0 and v <= (bound - 0.5 * x[RATE + i]) * T:
+                        x[MODE + i] = LANDING
+                elif mode == LANDING:
+                    x[MODE + i] = HELD
+                elif mode == HELD:
+                    x[MODE + i], waited[i] = WAITING, 0
+                elif mode == WAITING:
+                    waited[i] += 1
+                    if waited[i] >= dwell:
+                        leg[i] += 1
+                        x[MODE + i], x[GONE + i], x[EASE + i], piece[i] = RUNNING, 0.0, ease[leg[i]], first[leg[i]]
+                elif mode == DONE:
+                    x[MODE + i] = STOOD
