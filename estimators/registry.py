@@ -14,6 +14,7 @@ import pickle
 import re
 import sys
 import warnings
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -30,10 +31,28 @@ GIVEN = ".pickle"
 _loose: dict[str, type[Estimator]] = {}
 
 
+class _Suite(Mapping[str, type[Estimator]]):
+    def __init__(self) -> None:
+        self._points = {point.name: point for point in sorted(entry_points(group=GROUP))
+                        if distribution(point) == SUITE}
+
+    def __getitem__(self, name: str) -> type[Estimator]:
+        return self._points[name].load()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._points
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._points)
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+
 @cache
-def estimators() -> dict[str, type[Estimator]]:
-    """The suite's own estimators by name."""
-    return {point.name: point.load() for point in sorted(entry_points(group=GROUP)) if distribution(point) == SUITE}
+def estimators() -> Mapping[str, type[Estimator]]:
+    """The suite's own estimators by name, each imported when it is asked for."""
+    return _Suite()
 
 
 @cache

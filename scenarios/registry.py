@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from .errors import InputError, describe
 from .setting import Setting
 
-SUITE = "railstate"
+SUITE, GROUP = "railstate", "railstate.scenarios"
 
 
 def load_group(group: str) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def _no_exit(sent: list[int]) -> Iterator[None]:
 def settings() -> dict[str, type[Setting[Any]]]:
     """Plant kind -> setting class. What is none, or is of a kind that there is, is warned about."""
     found: dict[str, type[Setting[Any]]] = {}
-    for name, setting in load_group("railstate.scenarios").items():
+    for name, setting in load_group(GROUP).items():
         kind = getattr(setting, "kind", None)
         if not (isinstance(setting, type) and issubclass(setting, Setting) and isinstance(kind, str)):
             warnings.warn(f"plug-in {name} is left out: no subclass of {Setting.__module__}.Setting", stacklevel=2)
@@ -106,8 +106,16 @@ def scenario_files() -> dict[str, Path]:
     return dict(sorted(files.items()))
 
 
+@cache
+def _ours() -> dict[str, EntryPoint]:
+    """The suite's own settings by plant kind, each imported when it is asked for."""
+    return {point.name: point for point in entry_points(group=GROUP) if _own(point)}
+
+
 def setting_for(kind: str, where: str) -> type[Setting[Any]]:
     """The setting class of a plant kind. Raises InputError naming the kinds there are."""
+    if kind in _ours():
+        return _ours()[kind].load()
     if kind not in settings():
         raise InputError(f"{where}: plant.kind = \"{kind}\" is unknown; allowed: {', '.join(sorted(settings()))}")
     return settings()[kind]

@@ -12,7 +12,7 @@ from typing import Any
 from ...estimators.registry import estimators
 from ...scenarios.errors import InputError
 from ...scenarios.files import DISPLAY, Scenario, file_given, load
-from ...scenarios.registry import scenario_files, setting_of, settings
+from ...scenarios.registry import scenario_files, setting_for, setting_of, settings
 from ...scenarios.schema import EstimatorEntry
 from ...scenarios.setting import Setting
 from ...scenarios.source import source_hash
@@ -205,5 +205,5 @@ def check_variants(scenario: Scenario, variants: Sequence[str], catalogue: Catal
 
 def own(cell: Cell, label: str) -> bool:
     """Whether an estimator of a cell, and the cell's setting, are the suite's own code."""
-    setting = settings()[cell.table["plant"]["kind"]]
+    setting = setting_for(cell.table["plant"]["kind"], cell.key)
     return cell.entries[label].plugin in estimators() and setting.__module__.startswith("railstate.")

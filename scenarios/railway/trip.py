@@ -143,8 +143,8 @@ class Trip:
 def simulate(line: Line, train: Train, controller: Controller, plan: Reference, ease: Array,
              start: tuple[float, float], period: float, w: Array, factors: Array, bound: float,
              physical: bool) -> Trip:
-    """The trips of all runs. w (K, S), overwritten by what acted, and factors (5, S) as `Disturbance` draws them; ease (sections,): the train's own
-    mass over that on each section; start: position m, speed m/s."""
+    """The trips of all runs. w (K, S), overwritten by what acted, and factors (5, S) as `Disturbance` draws them; ease
+    (sections,): the train's own mass over that on each section; start: position m, speed m/s."""
     steps, runs = w.shape
     state, u = np.empty((steps, 2, runs)), np.empty((steps, 1, runs))
     reference = np.empty((steps, runs))
