@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from railstate.scenarios import randomness
 from railstate.scenarios.randomness import RunRandom, Streams
 from scipy import stats
 
@@ -47,6 +48,19 @@ def test_the_numbers_are_those_of_numpy_s_philox_in_their_place():
     random.normal(3)
     second = np.random.Generator(np.random.Philox(key=random._key, counter=[0, 1, 5, 0]))
     assert np.array_equal(random.uniform(0.0, 1.0, 9)[:, 0], second.random(9))
+
+
+@pytest.mark.parametrize("count", [1, 4, 7, 64])
+def test_many_runs_draw_the_same_uniform_numbers_in_compiled_code(count, monkeypatch):
+    found = []
+    for many in (19, 20):
+        monkeypatch.setattr(randomness, "MANY", many)
+        random = RunRandom(7, ("s", "v"), [*range(3, 21), 2**40])
+        which = np.arange(19) % 4 != 1
+        found.append([random.uniform(-2.0, 5.0, count), random.uniform(0.0, 1.0, count, which=which),
+                      random.uniform(0.5, 0.7, count, 2), random.normal(), random.drawn])
+    for compiled, numpy_s in zip(*found, strict=True):
+        assert np.array_equal(compiled, numpy_s)
 
 
 @pytest.mark.parametrize("across", ["runs", "draws", "one-draw"])
