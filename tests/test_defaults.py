@@ -15,6 +15,8 @@ from types import ModuleType
 from typing import Any
 
 import railstate
+from numba.core.ccallback import CFunc
+from numba.core.dispatcher import Dispatcher
 from pydantic import BaseModel
 
 LEFT_OUT = ("templates", "published.computed")
@@ -98,10 +100,23 @@ def of(module: ModuleType) -> Iterator[str]:
             yield from defaults(name, value)
 
 
+def compiled(module: ModuleType) -> Iterator[str]:
+    """How what is compiled in a module is compiled, and whether its machine code is kept."""
+    kinds = dict[str, list[str]]()
+    for name, value in vars(module).items():
+        if isinstance(value, Dispatcher) and value.py_func.__module__ == module.__name__:
+            options = {key: said for key, said in value.targetoptions.items() if said not in (None, True)}
+            kept = type(value._cache).__name__, type(getattr(value._cache, "_cache", None)).__name__
+            kinds.setdefault(f"{type(value).__name__} {kept} {options}", []).append(name)
+        elif isinstance(value, CFunc) and value._pyfunc.__module__ == module.__name__:
+            kinds.setdefault(f"cfunc {type(value._cache).__name__} {value._sig}", []).append(name)
+    yield from (f"  {kind}: {' '.join(names)}" for kind, names in kinds.items())
+
+
 def test_defaults_and_constants(expected: Callable[[str, str], None]) -> None:
     lines = list[str]()
     for module in modules():
-        if found := list(of(module)):
+        if found := [*of(module), *compiled(module)]:
             lines += [module.__name__.removeprefix("railstate."), *found]
     assert railstate.__name__ == "railstate"
     expected("defaults", "\n".join(lines))

@@ -187,8 +187,11 @@ def test_a_broken_plug_in_is_caught(railstate: Command, rule: str, expected: Cal
     ("0.3 * innovation[:1]", "(0.3 + 1e-15 * self.runs) * innovation[:1]", "independence", "only the last digits"),
     ("0.3 * innovation[:1]", "(0.3 + 1e-3 * self.runs) * innovation[:1]", "independence", "more than the last digits"),
     ("Estimate(self.x,", "Estimate(self.x.astype(np.float32),", "shapes", "float32"),
+    ("        self.deaf = np.where(received.any(axis=0), 0, self.deaf + 1)\n",
+     "        from railstate.estimators.interface import Innovation\n"
+     "        return Innovation(innovation + (y.base[-1, 0] > 20))\n", "causality", "innovation.residual"),
 ], ids=["no-super", "needs", "init", "list", "dies", "base-exception", "interrupt", "certain", "singular", "inexact",
-        "wrong", "float32"])
+        "wrong", "float32", "innovation"])
 def test_what_is_odd_is_a_finding(railstate: Command, old: str, new: str, rule: str, happened: str,
                                   expected: Callable[[str, str], None]) -> None:
     assert TEMPLATE.count(old) == 1

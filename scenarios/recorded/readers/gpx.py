@@ -31,6 +31,6 @@ def read_gpx(path: Path, data: bytes) -> Table:
                          ("hdop", [point.horizontal_dilution for point in points]),
                          ("speed [m/s]", [point.speed for point in points])):
         if any(value is not None for value in values):
-            columns[name] = np.array([np.nan if value is None else value for value in values], dtype=float)
+            columns[name] = np.array([np.nan if value is None else value for value in values])
     count = f", {len(segments)} segments" if len(segments) > 1 else ""
     return table_of(str(path), columns, f"GPX{count}")
