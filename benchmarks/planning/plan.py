@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from ...estimators.registry import estimators
@@ -78,14 +79,8 @@ class Plan:
     def configuration(self) -> dict[str, Any]:
         """What must be the same for two runs to have the same rows (display names aside): what is asked for, and the
         hashes of the code that computes it."""
-        scoring = source_hash(SCORING)
-        hashes: dict[str, str] = {}
-
-        def code(cls: type) -> str:
-            if cls.__module__ not in hashes:
-                hashes[cls.__module__] = source_hash(cls.__module__)
-            return hashes[cls.__module__]
-
+        scoring, source = source_hash(SCORING), cache(self.catalogue.source)
+        code = cache(lambda kind: source_hash(setting_for(kind, "plant.kind").__module__))
         return {
             "runs": max([self.runs, *(cell.runs for cell in self.cells)]),
             "seed": self.seed,
@@ -95,11 +90,11 @@ class Plan:
                     "runs": max(self.runs, cell.runs),
                     "scenario": Scenario(cell.scenario, cell.where, {cell.variant: dict(cell.table)}, cell.variant)
                     .content_hash(cell.variant),
-                    "setting": code(settings()[cell.table["plant"]["kind"]]),
+                    "setting": code(cell.table["plant"]["kind"]),
                     "scoring": scoring,
                     "estimators": {
                         label: {"plugin": entry.plugin, "parameters": entry.parameters, "knowledge": entry.knowledge,
-                                "source": self.catalogue.source(entry.plugin),
+                                "source": source(entry.plugin),
                                 **entry.model_dump(include={"late", "told_faults", "augment"}, exclude_defaults=True)}
                         for label, entry in cell.entries.items()
                     },
