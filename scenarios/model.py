@@ -7,7 +7,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -187,10 +187,14 @@ class DesignModel:
 
     def over(self, course: Course) -> WholeSteps | LinearSteps | None:
         """`whole`, where it stands for the functions that this model has, and for the periods of a course."""
-        own = (self.transition, self.transition_jacobian, self.measurement, self.measurement_jacobian,
-               self.process_covariance, self.measurement_covariance)
         whole = self.whole
-        return whole if whole is not None and whole.of == own and course.period == self.period else None
+        return whole if whole is not None and whole.of == self.functions and course.period == self.period else None
+
+    @property
+    def functions(self) -> tuple[object, ...]:
+        """What `whole` stands for."""
+        return (self.transition, self.transition_jacobian, self.measurement, self.measurement_jacobian,
+                self.process_covariance, self.measurement_covariance)
 
     @property
     def nx(self) -> int:
@@ -247,30 +251,17 @@ def linear_model(
         return packed(interval.depart) if always is None else always, np.empty(runs)
 
     transition = Compiled(affine, linear.B(0).shape[1], given)
-    functions = (transition, lambda x, u, interval: linear.A(interval.depart)[:, :, None],
-                 lambda x, step: product(linear.C(step), x), lambda x, step: linear.C(step)[:, :, None],
-                 lambda x, u, interval: linear.Q(interval.depart)[:, :, None],
-                 told(lambda step: linear.R(step)[:, :, None]))
-    F, Q, H, R = (np.array(matrix[:, :, None], dtype=float, order="C") for matrix in (
-        linear.A(0), linear.Q(0), linear.C(0), linear.R(0)))
-    coupled = np.count_nonzero(R) > np.count_nonzero(R[:, :, 0].diagonal())
-    return DesignModel(
-        states=states,
-        measurements=measurements,
-        period=period,
-        transition=functions[0],
-        transition_jacobian=functions[1],
-        measurement=functions[2],
-        measurement_jacobian=functions[3],
-        process_covariance=functions[4],
-        measurement_covariance=functions[5],
-        initial_mean=initial_mean,
-        initial_covariance=initial_covariance,
-        linear=linear,
-        linear_measurement=True,
-        whole=None if always is None or coupled else LinearSteps(transition, always, F, Q, H, R, functions),
-        **parts,  # pyright: ignore[reportArgumentType]
-    )
+    model = DesignModel(
+        states, measurements, period, transition, lambda x, step: product(linear.C(step), x),
+        lambda x, u, interval: linear.A(interval.depart)[:, :, None], lambda x, step: linear.C(step)[:, :, None],
+        lambda x, u, interval: linear.Q(interval.depart)[:, :, None], told(lambda step: linear.R(step)[:, :, None]),
+        initial_mean, initial_covariance, linear, linear_measurement=True,
+        **parts)  # pyright: ignore[reportArgumentType]
+    if always is None or np.count_nonzero(linear.R(0)) > np.count_nonzero(linear.R(0).diagonal()):
+        return model
+    F, Q, H, R = (np.array(matrix(0)[:, :, None], dtype=float, order="C") for matrix in (
+        linear.A, linear.Q, linear.C, linear.R))
+    return replace(model, whole=LinearSteps(transition, always, F, Q, H, R, model.functions))
 
 
 def grid_modes(grid: Grid, model: DesignModel) -> Modes:
@@ -284,6 +275,12 @@ def grid_modes(grid: Grid, model: DesignModel) -> Modes:
             initial_mean=model.initial_mean, initial_covariance=model.initial_covariance), value)
 
     return Modes(tuple(map(mode, grid.A, grid.B, grid.grid.tolist())), grid.prior, None, grid)
+
+
+def bounds_of(model: DesignModel) -> Bounds:
+    """The model's bounds, which an estimator's `needs` has made sure of."""
+    assert model.bounds is not None
+    return model.bounds
 
 
 def grid_of(model: DesignModel, who: str) -> Grid:

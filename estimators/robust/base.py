@@ -14,7 +14,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from ...scenarios.arrays import Array, Mask
 from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Interval, Measurement, untold
-from ...scenarios.model import Bounds, DesignModel
+from ...scenarios.model import DesignModel, bounds_of
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimator, Parameters, Status, flag
 from .small import contraction
@@ -205,9 +205,3 @@ class Robust(Estimator):
 def plain(values: Array) -> Array:
     """C-contiguous and writable, copied only if need be: one compiled version serves all models."""
     return np.require(values, dtype=float, requirements=["C", "W"])
-
-
-def bounds_of(model: DesignModel) -> Bounds:
-    """The model's bounds, which `needs` has made sure of."""
-    assert model.bounds is not None
-    return model.bounds

@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from ...scenarios.arrays import Array
 from ...scenarios.errors import Unsupported
 from ...scenarios.measurement import Interval, Measurement
-from ...scenarios.model import Bounds, DesignModel
+from ...scenarios.model import DesignModel, bounds_of
 from ...scenarios.randomness import RunRandom
 from ..interface import Estimate, Estimator, Parameters, Status, flag
 from ..kernels.core import inner, kernel
@@ -63,14 +63,14 @@ class ZonotopicFilter(Estimator):
 
     def design(self, model: DesignModel) -> dict[str, Any]:
         """Nothing to be found offline; refuses (Unsupported) bounds that are infinite."""
-        bounds = _bounds(model)
+        bounds = bounds_of(model)
         if not (np.isfinite(bounds.w_bar).all() and np.isfinite(bounds.v_bar).any()):
             raise Unsupported("ZonotopicFilter needs finite disturbance bounds w_bar and a sensor with a finite bound")
         return {}
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        bounds, n = _bounds(model), model.nx
+        bounds, n = bounds_of(model), model.nx
         self._x = np.array(model.initial_mean, dtype=float, order="C")
         self._keep = self.parameters.order * n
         self._H = np.zeros((n, self._keep + max(bounds.G.shape[1] + 1, model.ny), runs))
@@ -86,7 +86,7 @@ class ZonotopicFilter(Estimator):
         self.inconsistency = np.zeros(runs)
 
     def predict(self, u: Array, interval: Interval) -> None:
-        model, bounds, x = self.model, _bounds(self.model), self._x
+        model, bounds, x = self.model, bounds_of(self.model), self._x
         assert model.transition_jacobian is not None
         moved = interval.moving(self.runs)
         part = moved & (np.asarray(interval.length) != model.period)
@@ -123,12 +123,6 @@ class ZonotopicFilter(Estimator):
 
     def extremes(self) -> dict[str, Array]:
         return {"inconsistency": self.inconsistency}
-
-
-def _bounds(model: DesignModel) -> Bounds:
-    """The model's bounds, which `needs` has made sure of."""
-    assert model.bounds is not None
-    return model.bounds
 
 
 @inner

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
@@ -44,9 +44,10 @@ class Readings:
 
 
 class Base(Strict):
-    """One entry of [[faults]]."""
+    """One entry of [[faults]]. beforehand: whether it needs readings that follow from each other beforehand."""
 
     model_config = ConfigDict(populate_by_name=True)
+    beforehand: ClassVar[bool] = False
 
     name: Annotated[Name | None, key("what it is called where its kind stands twice")] = None
     sensors: Annotated[tuple[str, ...], key(
@@ -74,6 +75,8 @@ class Base(Strict):
     def check(self, sensing: Sensing, following: bool = True) -> None:
         """Raise ValueError where the fault does not fit a setting."""
         sensing.chosen(self.sensors)
+        if self.beforehand and not following:
+            raise ValueError(f"{getattr(self, 'kind', '')} is not offered where readings are made as the loop goes")
 
     @abstractmethod
     def apply(self, random: RunRandom, readings: Readings) -> None:

@@ -10,7 +10,6 @@ from ..channels.gilbert_elliott import bursts
 from ..randomness import RunRandom
 from ..schema import Probability
 from ..strict import KIND, key
-from ..world import Sensing
 from .base import Base, Readings
 
 
@@ -18,11 +17,7 @@ class Stuck(Base):
     """The reading stays what it was when the fault began."""
 
     kind: Annotated[Literal["stuck"], KIND]
-
-    def check(self, sensing: Sensing, following: bool = True) -> None:
-        super().check(sensing)
-        if not following:
-            raise ValueError("stuck is not offered where readings are made as the loop goes")
+    beforehand = True
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         elements = readings.sensing.chosen(self.sensors)

@@ -44,14 +44,13 @@ class StudentT(Base):
     added. No single reading counts as faulty."""
 
     kind: Annotated[Literal["student-t"], KIND]
+    beforehand = True
     dof: Annotated[PositiveFloat, key("degrees of freedom", "1")] = 3.0
 
     def check(self, sensing: Sensing, following: bool = True) -> None:
-        super().check(sensing)
         if self.told:
             raise ValueError("told: heavy tails have no single faulty readings to tell of: leave it out")
-        if not following:
-            raise ValueError("student-t is not offered where readings are made as the loop goes")
+        super().check(sensing, following)
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         from scipy.special import gammaincinv

@@ -70,12 +70,8 @@ class Stamps(Base):
     Between steps the noise-free reading is interpolated; the noise stays that of the step."""
 
     kind: Annotated[Literal["stamps"], KIND]
+    beforehand = True
     offset: Annotated[float, key("how long ago it is of (negative: later)", "s")] = 1.0
-
-    def check(self, sensing: Sensing, following: bool = True) -> None:
-        super().check(sensing)
-        if not following:
-            raise ValueError("stamps is not offered where readings are made as the loop goes")
 
     def apply(self, random: RunRandom, readings: Readings) -> None:
         elements = readings.sensing.chosen(self.sensors)
