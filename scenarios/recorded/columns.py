@@ -115,7 +115,7 @@ def decimal_sign(table: Table, names: Iterable[str]) -> str:
     sure = False
     for name in names:
         column = table.columns[name]
-        if not _is_text(column):
+        if not is_text(column):
             continue
         if not pc.any(pc.match_substring(column, ",")).as_py():
             point = pc.match_substring(column, ".")
@@ -150,11 +150,11 @@ def numbers(table: Table, name: str, cells: Cells) -> Array:
     kind = column.type
     if pa.types.is_boolean(kind) or pa.types.is_temporal(kind):
         raise ValueError(f"{table.path}: column \"{name}\" holds {kind}: numbers are needed, times as seconds")
-    quick = _quick(column) if cells.decimal == "." and not cells.missing else None
+    quick = _quick(column) if is_text(column) and cells.decimal == "." and not cells.missing else None
     if quick is not None:
         found = quick
         odd = np.flatnonzero(np.isinf(found))
-    elif _is_text(column):
+    elif is_text(column):
         written = pc.utf8_trim_whitespace(column)
         if cells.decimal == ",":
             written = pc.replace_substring(written, ",", ".")
@@ -187,8 +187,6 @@ def numbers(table: Table, name: str, cells: Cells) -> Array:
 
 def _quick(column: pa.ChunkedArray) -> Array | None:
     """A column of texts as numbers, if each is a plain number or nothing at all; else None, for the thorough way."""
-    if not _is_text(column):
-        return None
     try:
         return np.array(pc.cast(pc.if_else(pc.equal(column, ""), None, column), pa.float64()).to_numpy(), dtype=float)
     except pa.ArrowInvalid:
@@ -214,7 +212,7 @@ def classed(table: Table, name: str, classes: Mapping[str, float]) -> Array | No
 def is_numeric(table: Table, name: str) -> bool:
     """Whether a column holds numbers, by its type or by its first hundred cells that are not missing."""
     column = table.columns[name]
-    if not _is_text(column):
+    if not is_text(column):
         return pa.types.is_integer(column.type) or pa.types.is_floating(column.type) or pa.types.is_decimal(column.type)
     written = [text.strip().lower() for text in first_cells(table, name, 5000)]
     written = [text for text in written if text not in NONE][:100]
@@ -226,12 +224,8 @@ def first_cells(table: Table, name: str, count: int = 100) -> list[str]:
     return [str(cell) for cell in table.columns[name].slice(0, count).to_pylist() if cell is not None]
 
 
-def is_text(table: Table, name: str) -> bool:
+def is_text(column: pa.ChunkedArray) -> bool:
     """Whether a column holds texts as written."""
-    return _is_text(table.columns[name])
-
-
-def _is_text(column: pa.ChunkedArray) -> bool:
     return pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
 
 

@@ -101,7 +101,7 @@ def _role(table: Table, name: str, balises: bool) -> str:
             if not dated or _is_time(table, name):
                 return role
         elif role == "position_sd":
-            if not dated or not is_text(table, name) or len(pc.unique(table.columns[name])) < 12:
+            if not dated or not is_text(table.columns[name]) or len(pc.unique(table.columns[name])) < 12:
                 return role
         elif not dated:
             if set(own) & REFERENCE and role in ("position", "speed"):

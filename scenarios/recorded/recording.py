@@ -16,7 +16,6 @@ import pyarrow as pa
 from ..arrays import Array, Index, Mask
 from .checks import Finding, examine
 from .columns import (
-    Cells,
     Column,
     cells_of,
     classed,
@@ -24,7 +23,6 @@ from .columns import (
     find_column,
     first_cells,
     is_numeric,
-    is_text,
     need_unit,
     numbers,
 )
@@ -182,8 +180,7 @@ def _enough(path: str, columns: Mapping[str, Column], table: Table) -> None:
 def _values(table: Table, columns: Mapping[str, Column], meaning: Meaning) -> tuple[
         Array, str, dict[str, Array], dict[str, Array], str]:
     """Time and in words its kind, the columns of the roles and the told standard deviations in SI, the decimal sign."""
-    texts, plain = dict(meaning.map), cells_of(meaning.missing, ".")
-    classes = dict(meaning.quality)
+    texts, classes = dict(meaning.map), dict(meaning.quality)
     told: dict[str, Array] = {}
     numeric = dict(columns)
     for role in [role for role in columns if role.endswith("_sd")]:
@@ -194,11 +191,11 @@ def _values(table: Table, columns: Mapping[str, Column], meaning: Meaning) -> tu
             told[role.removesuffix("_sd")] = deviations
             del numeric[role]
     lost = {sensor: np.isnan(deviations) for sensor, deviations in told.items()}
-    time, kind = numeric.pop("time"), ""
-    written = [column.name for role, column in (*numeric.items(), ("time", time)) if is_text(table, column.name)
-               and not (role == "balise" and meaning.balises)]
+    time = numeric.pop("time")
+    written = [column.name for role, column in (*numeric.items(), ("time", time))
+               if not (role == "balise" and meaning.balises)]
     decimal = decimal_sign(table, [name for name in dict.fromkeys(written) if not _dated(table, name)])
-    cells = Cells(plain.missing, plain.absent, decimal)
+    cells = cells_of(meaning.missing, decimal)
     stamps, kind = seconds(table, time, texts["time"], cells)
     found: dict[str, Array] = {}
     for role, column in numeric.items():
@@ -207,13 +204,14 @@ def _values(table: Table, columns: Mapping[str, Column], meaning: Meaning) -> tu
                       else dict(meaning.balises))
             found[role] = placed(table, column.name, places)
             continue
-        found[role] = need_unit(role, column, texts[role]) * numbers(table, column.name, cells)
+        values = need_unit(role, column, texts[role]) * numbers(table, column.name, cells)
         if role.endswith("_sd"):
-            values = found.pop(role)
             if np.nanmin(values, initial=1.0) < 0:
                 raise ValueError(f"{table.path}: column \"{column.name}\" is a standard deviation, but row "
                                  f"{int(np.nanargmin(values)) + 1} has {np.nanmin(values):g}")
             told[role.removesuffix("_sd")] = np.where(values > 0, values, np.nan)
+        else:
+            found[role] = values
     for sensor, gone in lost.items():
         for role in (("latitude", "longitude") if sensor == "position" and "latitude" in found else (sensor,)):
             found[role] = np.where(gone, np.nan, found[role])

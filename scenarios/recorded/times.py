@@ -34,7 +34,7 @@ def seconds(table: Table, column: Column, text: str, cells: Cells) -> tuple[Arra
     if pa.types.is_integer(values.type):
         unit = need_unit("time", column, text)
         return _since_first(pc.cast(values, pa.int64()), unit), _kind(values, unit)
-    if is_text(table, column.name) and not is_numeric(table, column.name):
+    if is_text(values) and not is_numeric(table, column.name):
         return _written(table, column.name, cells)
     unit = need_unit("time", column, text)
     found = numbers(table, column.name, cells)
