@@ -62,7 +62,7 @@ def written(flag: str, path: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:
-        raise InputError(f"{flag} {path}: cannot be written: {getattr(error, 'strerror', error)}") from None
+        raise InputError(f"{flag} {path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def names_in(text: str) -> list[str]:

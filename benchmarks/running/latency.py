@@ -136,10 +136,11 @@ def _world(cell: Cell, seed: int) -> World:
 
 def _pass(loop: Loop, limit: float) -> list[float]:
     """Seconds of each of the first steps but for `WARM_UP`, as far as the limit (s) lasts."""
-    seconds: list[float] = []
+    seconds, begun = list[float](), 0.0
     for k in range(min(loop.world.steps, WARM_UP + STEPS)):
         before = loop.seconds
-        if sum(seconds) > limit or loop.step(k) is None:
+        begun = before if k == WARM_UP else begun
+        if (seconds and before - begun > limit) or loop.step(k) is None:
             break
         if k >= WARM_UP:
             seconds.append(loop.seconds - before)

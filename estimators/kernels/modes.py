@@ -147,13 +147,25 @@ def exponentials(x, n, top, out):
         out[i] = out[i] * power[i] if x[i] - top >= -708.0 else 0.0
 
 
+@njit(cache=True, inner=True)
+def greatest(a, n):
+    """Greatest of the first n entries that is not NaN; -inf where there is none."""
+    t0, t1, t2, t3 = -np.inf, -np.inf, -np.inf, -np.inf
+    whole = n // 4 * 4
+    for i in range(0, whole, 4):
+        t0 = a[i] if a[i] > t0 else t0
+        t1 = a[i + 1] if a[i + 1] > t1 else t1
+        t2 = a[i + 2] if a[i + 2] > t2 else t2
+        t3 = a[i + 3] if a[i + 3] > t3 else t3
+    for i in range(whole, n):
+        t0 = a[i] if a[i] > t0 else t0
+    return max(max(t0, t1), max(t2, t3))
+
+
 @njit(cache=True)
 def normalise(logw, n, w):
     """w[i] = exp(logw[i]) / sum over the first n; returns log sum exp, or NaN when all weights vanish."""
-    top = -np.inf
-    for i in range(n):
-        if logw[i] > top:
-            top = logw[i]
+    top = greatest(logw, n)
     if not top > -np.inf or top == np.inf:
         return np.nan
     exponentials(logw, n, top, w)

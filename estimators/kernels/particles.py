@@ -9,7 +9,7 @@ import numpy as np
 from ...scenarios.compiled import call
 from ...scenarios.normals import normals, uniform
 from .core import HALF_LOG_TURN, inner, kernel
-from .modes import exponentials
+from .modes import exponentials, greatest
 
 
 @inner
@@ -30,21 +30,6 @@ def dot(a, b):
     for i in range(whole, len(a)):
         total += a[i] * b[i]
     return total
-
-
-@inner
-def _largest(a):
-    """Greatest entry that is not NaN; -inf where there is none."""
-    t0, t1, t2, t3 = -np.inf, -np.inf, -np.inf, -np.inf
-    whole = len(a) // 4 * 4
-    for i in range(0, whole, 4):
-        t0 = a[i] if a[i] > t0 else t0
-        t1 = a[i + 1] if a[i + 1] > t1 else t1
-        t2 = a[i + 2] if a[i + 2] > t2 else t2
-        t3 = a[i + 3] if a[i + 3] > t3 else t3
-    for i in range(whole, len(a)):
-        t0 = a[i] if a[i] > t0 else t0
-    return max(max(t0, t1), max(t2, t3))
 
 
 @inner
@@ -143,7 +128,7 @@ def take(images, predicted, h, y, received, r, key, runs, draws, share, particle
             continue
         x, log, w, rows = particles[s], logs[s], weights[s], own if linear else images[s]
         good = _whitened(r, received, inverse, factor, s)
-        constant = np.log(max(_largest(w), 0.0))
+        constant = np.log(max(greatest(w, len(w)), 0.0))
         for j in range(ny):
             if not received[j, s]:
                 continue
@@ -168,7 +153,7 @@ def take(images, predicted, h, y, received, r, key, runs, draws, share, particle
             for i in range(count):
                 row[i] *= inverse[j]
                 log[i] -= 0.5 * row[i] * row[i]
-        top = _largest(log) if good else -np.inf
+        top = greatest(log, len(log)) if good else -np.inf
         if top == -np.inf:
             failed[s] = True
             bad += 1

@@ -110,13 +110,17 @@ def _weigh(model, gain, z, x, theta, n, before, children, log_prior, work, value
             common -= 0.5 * z[a, 0] * z[a, 0]
         else:
             square[:] = np.nan
-    for i in range(n):
-        base = before[i] - 0.5 * square[i]
-        row = theta[i]
+    tried, less = np.empty(children.shape), np.empty(children.shape)
+    for row in range(len(children)):
         for j in range(g):
-            v = model.grid[children[row, j]]
-            value[i * g + j] = v
-            logw[i * g + j] = base + log_prior[row, j] + v * (pair_product[i] - 0.5 * gamma * v)
+            tried[row, j] = model.grid[children[row, j]]
+            less[row, j] = 0.5 * gamma * tried[row, j]
+    for i in range(n):
+        base, pair = before[i] - 0.5 * square[i], pair_product[i]
+        values, shares, takes = tried[theta[i]], log_prior[theta[i]], less[theta[i]]
+        for j in range(g):
+            value[i * g + j] = values[j]
+            logw[i * g + j] = base + shares[j] + values[j] * (pair - takes[j])
     return common
 
 
@@ -125,19 +129,21 @@ def _moments(gain, e, x, w, value, picked, count, work, out, s):
     """Mean and covariance over the children, from sums over the parents (eqs. (19), (22)); writes column s of out."""
     nu, n = len(x), len(work[0])
     G, P = gain[5], gain[6]
-    weight, first, centred = work[0], work[1], work[2]
+    weight, first, second = work[0], work[1], work[2]
     each = count // n  # children of one parent: g, or the one the optimal proposal has drawn
+    weight[:], first[:], second[:] = 0.0, 0.0, 0.0
+    for k in range(each):
+        for i in range(n):
+            c = i * each + k
+            v = value[c] if each > 1 else value[picked[c]]
+            weight[i] += w[c]
+            first[i] += w[c] * v
+            second[i] += w[c] * v * v
     parameter, square = 0.0, 0.0
     for i in range(n):
-        zeroth, once, twice = 0.0, 0.0, 0.0
-        for c in range(i * each, (i + 1) * each):
-            v = value[picked[c]]
-            zeroth += w[c]
-            once += w[c] * v
-            twice += w[c] * v * v
-        weight[i], first[i] = zeroth, once
-        parameter += once
-        square += twice
+        parameter += first[i]
+        square += second[i]
+    centred = second
     variance = max(square - parameter * parameter, 0.0)
     mean, cross, spread, off = np.empty(nu), np.empty(nu), np.empty((nu, nu)), np.empty((nu, n))
     for i in range(n):
@@ -179,7 +185,7 @@ def step(model, children, log_prior, cloud, n, u, y, received, R, draws, keep, b
     count = n if optimal else n * g
     goes_on = keep if keep > 0 else count
     index, kept, origin = np.empty(goes_on, np.int64), np.empty(goes_on), np.empty(goes_on, np.int64)
-    x_new, theta_new = np.empty((nu, goes_on)), np.empty(goes_on, np.int64)
+    x_old, theta_new, kept_value = np.empty((nu, goes_on)), np.empty(goes_on, np.int64), np.empty(goes_on)
     seen = np.empty(len(model.grid), np.bool_)
     now, shift, e = np.empty(cloud.known.shape[1]), np.empty((nu, 2)), np.empty((nu, 2))
     P_before, heard, noise = cloud.P[0].copy(), received[0].copy(), R[:, :, 0].copy()
@@ -218,15 +224,18 @@ def step(model, children, log_prior, cloud, n, u, y, received, R, draws, keep, b
             c = picked[index[j]]
             origin[j] = owner[c]
             theta_new[j] = children[theta[origin[j]], c - origin[j] * g]
+            kept_value[j] = value[c]
+        for m in range(nu):
+            for j in range(goes_on):
+                x_old[m, j] = x[m, origin[j]]
         for l in range(nu):
             for j in range(goes_on):
-                x_new[l, j] = e[l, 0] + model.grid[theta_new[j]] * e[l, 1]
+                x[l, j] = e[l, 0] + kept_value[j] * e[l, 1]
             for m in range(nu):
                 factor = G[l, m]
                 if factor != 0.0:
                     for j in range(goes_on):
-                        x_new[l, j] += factor * x[m, origin[j]]
-        cloud.x[s, :, :goes_on] = x_new
+                        x[l, j] += factor * x_old[m, j]
         cloud.theta[s, :goes_on] = theta_new
         cloud.logw[s, :goes_on] = kept
         cloud.P[s], cloud.known[s] = gain[6], now

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from railstate.estimators.kernels import core as kernels
-from railstate.estimators.kernels import particles
+from railstate.estimators.kernels import modes, particles
 from railstate.estimators.kernels.kalman import in_turn, kalman_update, shared_kalman_update
 from railstate.estimators.kernels.riccati import covariance_update
 from railstate.scenarios.model import product
@@ -231,12 +231,12 @@ def test_innovations_in_turn_are_conditional_gaussians(ny: int) -> None:
 
 def test_sums_and_greatest_entries_in_lanes() -> None:
     """Of every length about the lanes, wherever the greatest stands."""
-    dot, largest = particles.dot.py_func, particles._largest.py_func
+    dot, largest = particles.dot.py_func, modes.greatest.py_func
     for n in range(21):
         a, b = draw(n), draw(n)[::-1].copy()
         np.testing.assert_allclose(dot(a, b), a @ b, rtol=1e-12, atol=1e-12)
         for place in range(n):
             one = np.where(np.arange(n) % 5 == 4, np.nan, -np.abs(a))
             one[place] = 0.5
-            assert largest(one) == 0.5
-    assert largest(np.full(9, np.nan)) == largest(np.empty(0)) == -np.inf
+            assert largest(one, n) == 0.5 and largest(one, place) < 0.5
+    assert largest(np.full(9, np.nan), 9) == largest(np.empty(0), 0) == -np.inf
