@@ -252,10 +252,13 @@ def linear_model(
 
     transition = Compiled(affine, linear.B(0).shape[1], given)
     model = DesignModel(
-        states, measurements, period, transition, lambda x, step: product(linear.C(step), x),
-        lambda x, u, interval: linear.A(interval.depart)[:, :, None], lambda x, step: linear.C(step)[:, :, None],
-        lambda x, u, interval: linear.Q(interval.depart)[:, :, None], told(lambda step: linear.R(step)[:, :, None]),
-        initial_mean, initial_covariance, linear, linear_measurement=True,
+        states=states, measurements=measurements, period=period, transition=transition,
+        transition_jacobian=lambda x, u, interval: linear.A(interval.depart)[:, :, None],
+        measurement=lambda x, step: product(linear.C(step), x),
+        measurement_jacobian=lambda x, step: linear.C(step)[:, :, None],
+        process_covariance=lambda x, u, interval: linear.Q(interval.depart)[:, :, None],
+        measurement_covariance=told(lambda step: linear.R(step)[:, :, None]),
+        initial_mean=initial_mean, initial_covariance=initial_covariance, linear=linear, linear_measurement=True,
         **parts)  # pyright: ignore[reportArgumentType]
     if always is None or np.count_nonzero(linear.R(0)) > np.count_nonzero(linear.R(0).diagonal()):
         return model
