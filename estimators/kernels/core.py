@@ -232,20 +232,23 @@ def congruence(f, p, q, out):
     """out (m, m, S) := f p f' + q, exactly symmetric. f (m, n, S or 1), p (n, n, S), q (m, m, S or 1); out may be p."""
     m, n, runs = f.shape[0], f.shape[1], p.shape[2]
     wide = tile_width(n, runs)
-    index = np.empty(wide, np.int64)
-    tile_f = np.empty((m, n, 1 if f.shape[2] == 1 else wide))
-    tile_q = np.empty((m, m, 1 if q.shape[2] == 1 else wide))
-    tile_p, tile_t, tile_out = np.empty((n, n, wide)), np.empty((m, n, wide)), np.empty((m, m, wide))
+    whole = wide == runs  # one tile: nothing is copied
+    index, tile_t = np.empty(wide, np.int64), np.empty((m, n, wide))
+    tile_f = f if whole else np.empty((m, n, 1 if f.shape[2] == 1 else wide))
+    tile_q = q if whole else np.empty((m, m, 1 if q.shape[2] == 1 else wide))
+    tile_p, tile_out = p if whole else np.empty((n, n, wide)), out if whole else np.empty((m, m, wide))
     for first in range(0, runs, wide):
         width = min(wide, runs - first)
-        for s in range(width):
-            index[s] = first + s
-        gather3(f, index, width, tile_f)
-        gather3(q, index, width, tile_q)
-        gather3(p, index, width, tile_p)
+        if not whole:
+            for s in range(width):
+                index[s] = first + s
+            gather3(f, index, width, tile_f)
+            gather3(q, index, width, tile_q)
+            gather3(p, index, width, tile_p)
         _half(tile_f, tile_p, tile_t, width)
         _symmetric_half(tile_t, tile_f, tile_q, tile_out, width)
-        scatter3(tile_out, index, width, out)
+        if not whole:
+            scatter3(tile_out, index, width, out)
 
 
 @kernel
