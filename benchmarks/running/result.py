@@ -50,9 +50,14 @@ def _column(values: Any) -> pa.Array:
         return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values),
                                      [None, pa.py_buffer(np.ascontiguousarray(values))])
     if isinstance(values, list):
-        texts = [text.encode() for text in values]
-        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
-        return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends), pa.py_buffer(b"".join(texts)))
+        n = len(values)
+        if n and values.count(values[0]) == n:  # as most are
+            text = values[0].encode()
+            ends, data = len(text) * np.arange(n + 1, dtype=np.int32), n * text
+        else:
+            texts = [text.encode() for text in values]
+            ends, data = np.cumsum([0, *map(len, texts)], dtype=np.int32), b"".join(texts)
+        return pa.StringArray.from_buffers(n, pa.py_buffer(ends), pa.py_buffer(data))
     return values
 
 

@@ -16,7 +16,7 @@ import pytest
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.running import latency
 from railstate.benchmarks.running.machinery import SHARE, Machinery, machinery
-from railstate.benchmarks.running.result import OTHERS, Result, lost, sound
+from railstate.benchmarks.running.result import OTHERS, Result, arrow_table, lost, sound
 from railstate.estimators.interface import Status
 from railstate.estimators.memento import Memento
 from railstate.scenarios.errors import InputError
@@ -184,3 +184,13 @@ def test_what_a_process_sends_back_has_the_form_of_a_result() -> None:
     assert [sound(task, found) for found in (None, [rows], {}, *({"rows": one} for one in bad),
                                              *({"rows": rows, name: one} for name, one in others))] == [None] * (
                                                  3 + len(bad) + len(others))
+
+
+def test_tables_are_those_of_pyarrow_s_own_arrays():
+    columns = {"none": [], "same": ["Zürich"] * 3, "texts": ["", "Čapek", ""], "numbers": np.arange(6.0)[::2],
+               "counts": np.array([3, -1, 2**31 - 1], dtype=np.int32), "unknown": pa.nulls(3, pa.int32()),
+               "gaps": np.array([np.nan, np.inf, -0.0])}
+    for name, values in columns.items():
+        expected = pa.table({name: pa.array(values, pa.string()) if isinstance(values, list) else values})
+        found = arrow_table({name: values})
+        assert found.equals(expected) or name == "gaps" and str(found) == str(expected), name
