@@ -193,4 +193,4 @@ def test_tables_are_those_of_pyarrow_s_own_arrays():
     for name, values in columns.items():
         expected = pa.table({name: pa.array(values, pa.string()) if isinstance(values, list) else values})
         found = arrow_table({name: values})
-        assert found.equals(expected) or name == "gaps" and str(found) == str(expected), name
+        assert found.equals(expected) or (name == "gaps" and str(found) == str(expected)), name
