@@ -113,7 +113,12 @@ def test_groups_are_the_papers() -> None:
                                     transitions.within(transitions.triples(np.arange(11.0), False))])
 def test_transitions_are_stochastic(matrix: np.ndarray) -> None:
     np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-15)
-    assert (matrix >= 0).all()
+    assert (matrix >= 0).all() and len(set(matrix.shape)) == 1
+
+
+def test_one_value_up_or_down() -> None:
+    for expected in ([[1]], [[0.9, 0.1], [0.1, 0.9]], [[0.9, 0.1, 0], [0.05, 0.9, 0.05], [0, 0.1, 0.9]]):
+        np.testing.assert_allclose(transitions.tridiagonal(len(expected), 0.9), expected, atol=1e-15)
 
 
 def test_jitter_moves_the_share_it_says() -> None:
