@@ -1,0 +1,98 @@
+"""Parts of the page on inputs made by hand: published cells, scales of its drawings, a sweep's files."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from railstate.benchmarks.judging.table import TEXTS, VERDICT_COLUMNS
+from railstate.benchmarks.telling.report import plots, published, sweep
+from railstate.scenarios.errors import InputError
+
+
+def reading(name: str, ours: float | None, error: float | None, stands: bool,
+            verdict: str = "reproduced") -> dict[str, Any]:
+    return {"reading": name, "ours": ours, "standard_error": error, "stands": stands, "verdict": verdict}
+
+
+def cell(name: str, verdict: str, *entries: dict[str, Any]) -> dict[str, Any]:
+    return {"cell": name, "published": 1.5, "unit": "m", "verdict": verdict, "entries": list(entries)}
+
+
+def test_published_cells_of_a_paper() -> None:
+    groups = [
+        {"group": "I", "note": "first", "cells": [
+            cell("a", "reproduced", reading("x", 1.25, 0.1, True), reading("y", 2.5, None, False, "not reproduced")),
+            cell("b", "unreachable", reading("", None, None, True), reading("z", None, 0.1, False))]},
+        {"group": "II", "note": "", "cells": [cell("c", "fitted", reading("x", 123456.0, None, True))]},
+        {"group": "III", "note": "second", "cells": [cell("d", "fitted", reading("z", 7.0, 1.0, False, ""))]},
+        {"group": "IV", "note": "first", "cells": []}]
+    document = {"papers": [{"name": "n", "title": "T", "authors": "A", "year": 2020, "reference": "R", "stands": "x",
+                            "readings": {"x": "as printed", "z": "mended"}, "groups": groups}]}
+    (paper,) = published.papers(document)
+    assert paper[:3] == ("n", "A (2020): T. R.", [("reproduced", 1), ("fitted", 2), ("unreachable", 1)])
+    assert published.sentence([paper, paper]) == "Of 8 published numbers: 2 reproduced, 4 fitted, 2 unreachable."
+    assert published.sentence([]) == ""
+    table = paper.table
+    assert [head[0] for head in table.heads] == ["published", "here", "unit", "verdict", "note", "y", "z"]
+    assert table.notes == ["x: as printed.", "z: mended.", "1: first", "2: second"]
+    assert table.caption.endswith("interval; further readings to the right.")
+    shown = {name: [(str(entry.html), entry.data) for entry in entries] for name, entries in table.lines}
+    assert [len(one) for one in shown.values()] == [7] * 4 and shown["II: c"][2] == ("m", "")
+    assert shown["I: a"][1] == ("1.25 ± 0.20", "1.25|1.054|1.446") and shown["I: a"][0] == ("1.5", "1.5")
+    assert shown["II: c"][1][1] == "123456||" and shown["III: d"][1] == ("", "") == shown["I: b"][1]
+    assert shown["I: a"][5][1] == "2.5" and shown["I: a"][6] == ("", "") == shown["I: b"][6]
+    assert shown["III: d"][6] == ("7.000", "7") and "<sup>2</sup>" in shown["III: d"][4][0]
+    assert [name for name in shown if "<sup>1</sup>" in shown[name][4][0]] == ["I: a", "I: b"]
+    with pytest.raises(InputError, match=r"reproduce writes them into published\.json: KeyError: 'groups'$"):
+        published.papers({"papers": [{}]})
+
+
+def test_scales_of_the_page_s_drawings() -> None:
+    """Logarithmic from a factor on; what is none, or not above the floor, counts for nothing."""
+    for values, floor, wanted in (
+            ([], 0.0, (0.0, 1.0, False)), ([math.nan, math.inf, -1.0, 0.0], 0.0, (0.0, 1.0, False)),
+            ([1.0, 3.9], 0.0, (1 - 0.06 * 2.9, 3.9 + 0.06 * 2.9, False)),
+            ([1.0, 4.0, math.inf], 0.0, (4**-0.04, 4 * 4**0.04, True)), ([2.0, 2.0], 0.0, (1.8, 2.2, False)),
+            ([0.1, 2.0], 0.1, (1.8, 2.2, False)), ([0.0, 10.0, 11.0], 0.0, (9.94, 11.06, False))):
+        found = plots._scale(values, 4.0, floor)
+        assert (found.low, found.high) == pytest.approx(wanted[:2]) and found.log == wanted[2]
+
+
+def test_a_sweep_s_files(tmp_path: Path) -> None:
+    assert not sweep.is_sweep(tmp_path)
+    made = sweep.Sweep("s/v", ["p"], [("rmse", "x")], ["a", "b"], 9, 1, {"0.5": {}, "0.9": {"b": "lost"}},
+                       "railstate sweep")
+    file, table = tmp_path / "sweep.json", tmp_path / "sweep.csv"
+    file.write_text(made.written())
+    assert made.written() == json.dumps(json.loads(made.written()), indent=1) + "\n" and sweep.is_sweep(tmp_path)
+    usual = {**dict.fromkeys(VERDICT_COLUMNS, 1.0), **dict.fromkeys(TEXTS, "t"), "eligible": True, "against": ""}
+    rows = pd.DataFrame([{**usual, "p": p, "estimator": label} for p in ("0.5", "0.9") for label in "ab"])
+    rows.to_csv(table, index=False)
+    found, read = sweep.load(tmp_path)
+    assert found == made and read["p"].tolist() == ["0.5", "0.5", "0.9", "0.9"] and (read["against"] == "").all()
+    assert made.why(("0.9",), "b") == made.why(("ahead", "0.9"), "b") == "lost" and made.why(("0.5",), "b") == ""
+    assert made.points() == [("0.5",), ("0.9",)]
+
+    def refused(said: str) -> None:
+        with pytest.raises(InputError) as caught:
+            sweep.load(tmp_path)
+        assert str(caught.value).startswith(said), str(caught.value)
+
+    rows.drop(columns=["value", "p"]).to_csv(table, index=False)
+    refused(f"{table}: not as railstate sweep writes it: has no column value, p")
+    rows.assign(kind="requirement", against="many").to_csv(table, index=False)
+    refused(f"{table}: not as railstate sweep writes it: Unable to parse string")
+    table.unlink()
+    refused(f"{table}: not as railstate sweep writes it: [Errno 2]")
+    table.mkdir()
+    refused(f"{table}: not as railstate sweep writes it: is no file")
+    for change, said in (({"lost": {"0.5 | 1": {}, "0.9": {}}}, "has points of other keys than p"), (
+            {"keys": []}, "has points of other keys than"), ({"lost": {}}, "has points of other keys than p"),
+            ({"runs": "many"}, "runs: ")):
+        file.write_text(json.dumps({**json.loads(made.written()), **change}))
+        refused(f"{file}: not as railstate sweep writes it: {said}")
