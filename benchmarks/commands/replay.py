@@ -38,7 +38,8 @@ def replay(
     else:
         plan = make_plan([f"{scenario}/{variant}"], only=[label], seed=seed, plugins=plugin)
     cells = {cell.key: cell for cell in plan.cells}
-    cell = cells.get(f"{scenario}/{variant}")
+    # a file's own name is its scenario's only in a folder
+    cell = cells.get(f"{scenario}/{variant}") if out or len(plan.cells) != 1 else plan.cells[0]
     if cell is None or label not in cell.entries:
         known = ", ".join(f"{key}/{name}" for key, item in cells.items() for name in item.entries)
         raise InputError(f"{row}: {out or 'the scenario'} holds no such estimator; it holds {known}")

@@ -48,6 +48,8 @@ def test_what_an_estimator_raises_costs_only_its_run(railstate: Command) -> None
     assert replayed.code == 0 and "run 3 is not for me" in replayed.out and "Traceback" in replayed.out
     fine = railstate("replay", "cart/rough/half/6", "--out", "out", "--plugin", "half.py")
     assert "bit-identical to the row in out" in fine.out
+    of_file = railstate("replay", "cart.toml/rough/half/6", "--plugin", "half.py")
+    assert of_file.out.splitlines()[1:] == fine.out.splitlines()[1:-1]
 
 
 def test_runs_without_a_scored_step_are_rows(railstate: Command) -> None:
