@@ -116,7 +116,8 @@ def _estimator(rng: np.random.Generator, scenario: str, variant: str, kind: str,
             column(f"{metric}:{name}:{unit}", scale * error)
         mean = float((error**2).mean()) * (1 + 0.5 * np.sin(time))
         curves.append({**key, "step": np.arange(STEPS), "time": time, "quantity": name, "active": float(RUNS),
-                       "squared": mean * RUNS, "fourth": 3 * mean**2 * RUNS, "error": np.zeros(STEPS)})
+                       "squared": mean * RUNS, "fourth": 3 * mean**2 * RUNS,
+                       "error": 0.3 * RUNS * np.sqrt(mean)})
     if kind == "metro" and facts[2]:
         column("nees:state:1", facts[2] * rng.chisquare(2 * STEPS, RUNS) / STEPS)
         rows["nees_states"] = np.full(RUNS, 2, dtype=np.int32)

@@ -280,3 +280,12 @@ def test_slip_comes_and_goes_at_its_rates() -> None:
                                                                          "slip of a and b"]
     np.testing.assert_allclose(modes.transition, np.kron(axle, axle), rtol=1e-12)
     assert modes.prior.tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("least", [10, 9000])
+def test_a_world_lasts_a_twentieth_longer_than_the_slowest_trip(least: int) -> None:
+    driver = {"plant__driver__courage": [0.9, 0.9], "plant__driver__braking": [0.6, 0.6],
+              "plant__driver__dwell": [20.0, 20.0]}
+    made = world("dry", 2, time__steps=least, **driver)
+    trip = made.ride.active.sum(axis=0)
+    assert trip[0] == trip[1] and made.steps == max(least, int(np.ceil(1.05 * trip[0])))
