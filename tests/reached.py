@@ -107,10 +107,11 @@ class Tests:
         """Which words stand in each test and in what it calls of its file, and tests of which nothing is written down,
         with what their files import."""
         self.words: dict[str, set[str]] = {}
-        self.unknown: dict[str, str] = {}
+        self.imports: dict[str, str] = {}
+        self.unknown = set[str]()
         self.apart = set[str]()
         for path, text in sources.items():
-            imports = " ".join(re.findall(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", text, re.MULTILINE))
+            self.imports[path] = " ".join(re.findall(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", text, re.MULTILINE))
             functions = {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
             words = {name: {getattr(part, "attr", getattr(part, "id", getattr(part, "arg", "")))
                             for part in ast.walk(node)} for name, node in functions.items()}
@@ -123,16 +124,18 @@ class Tests:
                 if apart & {name, *own}:
                     self.apart.add(f"{path}::{name}")
                 if f"{path}::{name}" not in known and "long" not in own:
-                    self.unknown[f"{path}::{name}"] = imports
+                    self.unknown.add(f"{path}::{name}")
 
     def of(self, fault: Fault, most: float) -> list[str]:
-        """Those that reach a fault: its statement, the users of what it makes, its module, its package. Quick ones
-        first, as many as take so many seconds, and the whole outputs."""
+        """Those that reach a fault: its statement, the users of what it makes, its module, its package. Those whose file
+        imports the module first, then quick ones, as many as take so many seconds, and the whole outputs."""
         seconds = {self.names[number]: self.seconds[number] for number in self._reaching(fault)}
         folder, stem = fault.path.removesuffix(".py").replace("/", ".").rpartition(".")[::2]
         module = re.compile(rf"railstate\.{folder}(\.{stem} import| import .*\b{stem}\b)")
-        seconds |= {name: 1.0 for name, imports in self.unknown.items() if module.search(imports)}
-        ordered = sorted(seconds, key=lambda name: (SETS_OUT in name, name != LOADING, seconds[name]))
+        by_name = {path for path, imports in self.imports.items() if module.search(imports)}
+        seconds |= {name: 1.0 for name in self.unknown if name.partition("::")[0] in by_name}
+        ordered = sorted(seconds, key=lambda name: (
+            SETS_OUT in name, name != LOADING, name.partition("::")[0] not in by_name, seconds[name]))
         rest = [name for name in ordered if name not in self.whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
         taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
@@ -198,8 +201,6 @@ class Tests:
     def _users(self, names: set[str]) -> set[int]:
         """Tests that name something, and of the lines of functions that do, or of what in compiled code calls it."""
         found = set[int]()
-        named = {number for number, name in enumerate(self.names)
-                 if self.words.get(name.partition("[")[0], set()) & names}
         for _ in range(4):
             word = re.compile(rf"\b({'|'.join(map(re.escape, names))})\b") if names else None
             if word is None:
@@ -217,7 +218,8 @@ class Tests:
             if found or more <= names:
                 break
             names = names | more
-        return found | named
+        return found | {number for number, name in enumerate(self.names)
+                        if self.words.get(name.partition("[")[0], set()) & names}
 
 
 @cache
