@@ -111,7 +111,7 @@ class Tests:
         self.unknown = set[str]()
         self.apart = set[str]()
         for path, text in sources.items():
-            self.imports[path] = " ".join(re.findall(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", text, re.MULTILINE))
+            self.imports[path] = " ".join(IMPORT.findall(text))
             functions = {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
             words = {name: {getattr(part, "attr", getattr(part, "id", getattr(part, "arg", "")))
                             for part in ast.walk(node)} for name, node in functions.items()}
@@ -127,8 +127,8 @@ class Tests:
                     self.unknown.add(f"{path}::{name}")
 
     def of(self, fault: Fault, most: float) -> list[str]:
-        """Those that reach a fault: its statement, the users of what it makes, its module, its package. Those whose file
-        imports the module first, then quick ones, as many as take so many seconds, and the whole outputs."""
+        """Those that reach a fault: its statement, the users of what it makes, its module, its package. Those of files
+        that import the module first, then quick ones, as many as take so many seconds, and the whole outputs."""
         seconds = {self.names[number]: self.seconds[number] for number in self._reaching(fault)}
         folder, stem = fault.path.removesuffix(".py").replace("/", ".").rpartition(".")[::2]
         module = re.compile(rf"railstate\.{folder}(\.{stem} import| import .*\b{stem}\b)")
