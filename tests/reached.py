@@ -21,6 +21,7 @@ from mutants import PACKAGES, Fault
 
 WHOLE = re.compile(r"^def (test_\w+)\([^)]*\bexpected: (?:Expected|Callable\[\[str, str\], None\])", re.MULTILINE)
 """Tests that compare whole outputs: asked however long they take."""
+IMPORT = re.compile(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", re.MULTILINE)
 APART = re.compile(r"\b(subprocess|Popen|Fresh|fork|isolation|isolated|jobs|half)\b")
 """Words of tests that start processes, such as those of plug-ins: nothing is seen of what is reached there."""
 LOADING = "tests/test_defaults.py::test_defaults_and_constants"
