@@ -83,6 +83,19 @@ def test_jacobian_matches_differences() -> None:
         np.testing.assert_allclose(jacobian[:, j], numeric, atol=1e-8)
 
 
+def test_jacobian_of_ways_from_straights_into_arcs() -> None:
+    """The curvature is that of the midpoint, all around the track."""
+    draw, runs = np.random.default_rng(5), 400
+    x, y, _ = TRACK.points(np.tile(np.arange(runs) * TRACK.length / runs, (2, 1)))
+    state = np.stack([x[0], y[0], x[1], y[1]]) + draw.normal(0, 0.02, (4, runs))
+    u = draw.uniform(0.2, 1.5, (2, runs))
+    ahead, behind = ([TRACK.transition(state + h, u, whole(0)) for h in way * np.eye(4)[:, :, None]]
+                     for way in (1e-6, -1e-6))
+    numeric = (np.stack(ahead, axis=1) - np.stack(behind, axis=1)) / 2e-6
+    off = np.abs(TRACK.jacobian(state, u, whole(0)) - numeric).max(axis=(0, 1))
+    assert off.max() < 1e-7
+
+
 @pytest.mark.parametrize("longest", [0.06, 0.5, 3.0, 30.0])
 def test_motion_has_the_heading_of_the_midpoint(longest: float) -> None:
     """Every point and way, joints and ways of several laps among them, against the map there and back."""
