@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from railstate.benchmarks.running.loop import Loop, Observer
 from railstate.benchmarks.scoring.innovations import InnovationScore
-from railstate.estimators.interface import Estimate, Estimator, Innovation
+from railstate.estimators.interface import Estimate, Estimator, Innovation, misshapen
 from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.measurement import Interval, Measurement, told, untold
@@ -299,3 +299,11 @@ def test_every_parameter_says_what_it_is() -> None:
 def test_a_whole_step_is_whole_for_every_run(share: Any, whole: bool) -> None:
     interval = Interval(3, 2.0, 0.5 * share, share)
     assert interval.whole is whole and interval.depart == 2 and interval.moving(np.size(share)).all()
+
+
+@pytest.mark.parametrize(("mean", "covariance"), [
+    (np.zeros((2, 3), dtype=np.float32), None), (np.zeros((3, 2)), None), (np.zeros((2, 4), dtype=np.float32), None),
+    (np.zeros((2, 3)), np.zeros((2, 2, 3), dtype=np.float32)), (np.zeros((2, 3)), np.zeros((2, 3, 3)))])
+def test_arrays_of_another_shape_or_another_type_are_malformed(mean: Array, covariance: Array | None) -> None:
+    assert "float64 of shape" in (misshapen(Estimate(mean, covariance=covariance), 2, 3, 0) or "")
+    assert misshapen(Estimate(np.zeros((2, 3)), covariance=np.zeros((2, 2, 3))), 2, 3, 0) is None
