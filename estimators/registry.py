@@ -20,7 +20,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from ..scenarios.errors import InputError
-from ..scenarios.registry import SUITE, distribution
+from ..scenarios.registry import SUITE, distribution, own_points
 from ..scenarios.schema import LABEL
 from ..scenarios.source import LOOSE
 from .interface import Estimator, first_edition
@@ -32,21 +32,17 @@ _loose: dict[str, type[Estimator]] = {}
 
 
 class _Suite(Mapping[str, type[Estimator]]):
-    def __init__(self) -> None:
-        self._points = {point.name: point for point in sorted(entry_points(group=GROUP))
-                        if distribution(point) == SUITE}
-
     def __getitem__(self, name: str) -> type[Estimator]:
-        return self._points[name].load()
+        return own_points(GROUP)[name].load()
 
-    def __contains__(self, name: object) -> bool:
-        return name in self._points
+    def __contains__(self, name: object) -> bool:  # Mapping's own would import it
+        return name in own_points(GROUP)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._points)
+        return iter(own_points(GROUP))
 
     def __len__(self) -> int:
-        return len(self._points)
+        return len(own_points(GROUP))
 
 
 @cache

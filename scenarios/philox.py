@@ -1,6 +1,6 @@
 """NumPy's uniform numbers from its Philox, for many runs in one compiled call: the same bits, laid out run by run.
 
-NumPy fills an array at a time and has to be set anew for each run: several times as long where runs are many."""
+NumPy fills an array at a time and has to be set anew for each run."""
 
 from __future__ import annotations
 

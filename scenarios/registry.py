@@ -41,6 +41,12 @@ def load_group(group: str) -> dict[str, Any]:
     return found
 
 
+@cache
+def own_points(group: str) -> dict[str, EntryPoint]:
+    """The suite's own entry points of a group by name, sorted; nothing is imported before `load`."""
+    return {point.name: point for point in sorted(entry_points(group=group)) if _own(point)}
+
+
 def distribution(point: EntryPoint) -> str:
     """The name of the package that an entry point is of."""
     return _name(point.dist) if point.dist is not None else "a package without a name"
@@ -106,16 +112,10 @@ def scenario_files() -> dict[str, Path]:
     return dict(sorted(files.items()))
 
 
-@cache
-def _ours() -> dict[str, EntryPoint]:
-    """The suite's own settings by plant kind, each imported when it is asked for."""
-    return {point.name: point for point in entry_points(group=GROUP) if _own(point)}
-
-
 def setting_for(kind: str, where: str) -> type[Setting[Any]]:
     """The setting class of a plant kind. Raises InputError naming the kinds there are."""
-    if kind in _ours():
-        return _ours()[kind].load()
+    if kind in own_points(GROUP):  # their names are their kinds
+        return own_points(GROUP)[kind].load()
     if kind not in settings():
         raise InputError(f"{where}: plant.kind = \"{kind}\" is unknown; allowed: {', '.join(sorted(settings()))}")
     return settings()[kind]

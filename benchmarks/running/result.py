@@ -72,7 +72,7 @@ def failed(task: Task, label: str, runs: Sequence[int], status: Status, reason: 
     """Rows of runs without numbers."""
     n = len(runs)
     return arrow_table({**identity(task, label, runs), "status": [status.name] * n, "reason": [reason] * n,
-                     "exception": [trace] * n, "seconds": np.zeros(n)})
+                        "exception": [trace] * n, "seconds": np.zeros(n)})
 
 
 def lost(task: Task, status: Status, reason: str) -> Result:

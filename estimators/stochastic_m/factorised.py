@@ -143,7 +143,7 @@ def _moments(gain, e, x, w, value, picked, count, work, out, s):
     for i in range(n):
         parameter += first[i]
         square += second[i]
-    centred = second
+    centred = second  # which has been summed up
     variance = max(square - parameter * parameter, 0.0)
     mean, cross, spread, off = np.empty(nu), np.empty(nu), np.empty((nu, nu)), np.empty((nu, n))
     for i in range(n):

@@ -234,7 +234,7 @@ def _simulate(forces, slope, start, base, rate, first, stops, ease, begin, T, co
     mass, so what a load leaves of them is ease[leg]."""
     ended, overrun = control[4:]
     (steps, runs), sections = w.shape, first.shape[0] - 1
-    x = np.empty(11 * TOGETHER)
+    x = np.empty(GONE + TOGETHER)
     leg, piece, waited = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
     held = 0.0 if begin[1] > 0.0 else _effort(0.0, climb(begin[0], slope), begin[1], forces)  # at rest it is held
     for block in range(0, runs, TOGETHER):
