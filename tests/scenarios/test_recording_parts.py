@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyproj
 import pytest
 from railstate.scenarios.recorded import places, wheels
-from railstate.scenarios.recorded.readers import files, mcap, rosbag
+from railstate.scenarios.recorded.readers import delimited, files, gpx, mcap, mf4, parquet, rosbag
 from railstate.scenarios.recorded.readers.gpx import read_gpx
 from railstate.scenarios.recorded.readers.messages import Series
 from railstate.scenarios.recorded.readers.table import Table, joined
@@ -108,6 +108,28 @@ def test_kinds_of_messages_of_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     found = rosbag.read_rosbag(tmp_path)
     assert found.said == "rosbag2: a, b, c, d" and found.names == [
         "log_time [ns]", "/e.v", "/d.v", "/c.v", "/b.v", "/a.v"] and found.rows == 5
+
+
+@pytest.mark.parametrize(("package", "call", "said"), [
+    (delimited.pacsv, "read_csv", "not a CSV table: "), (gpx.gpxpy, "parse", "not a GPX file: "),
+    (mcap, "make_reader", "not an MCAP log that can be read: ArrowInvalid: "),
+    (mf4, "MDF", "not an MF4 measurement that can be read: "), (parquet.pq, "ParquetFile", "not a Parquet table: "),
+    (rosbag, "AnyReader", "not a rosbag2 that can be read: ")])
+@pytest.mark.parametrize("words", ["", "no end", "no end\nat all"])
+def test_what_a_package_says_of_a_file_is_passed_on(
+        package: Any, call: str, said: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first line of it, also where it says nothing."""
+    def failing(*_: object, **__: object) -> Any:
+        raise pa.ArrowInvalid(words)
+
+    monkeypatch.setattr(package, call, failing)
+    path, data = tmp_path / "a", b"x,y\n1,2\n"
+    path.write_bytes(data)
+    read: Any = {delimited.pacsv: lambda path: delimited.read_delimited(str(path), data), gpx.gpxpy: lambda path:
+                 read_gpx(path, data), mcap: mcap.read_mcap, mf4: mf4.read_mf4, parquet.pq: parquet.read_parquet,
+                 rosbag: rosbag.read_rosbag}[package]
+    with refused(f"{path}: {said}{words[:6]}"):
+        read(path)
 
 
 def test_files_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import re
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from .table import Table
+from .table import Table, cause
 
 DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "spaces"}
 MARKS = ((codecs.BOM_UTF8, "utf-8-sig", "UTF-8 with byte-order mark"), (codecs.BOM_UTF32_LE, "utf-32", "UTF-32"),
@@ -55,7 +55,7 @@ def read_delimited(path: str, data: bytes) -> Table:
             pacsv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False))
     except pa.ArrowInvalid as error:
         raise ValueError(_mismatch(path, names, body, delimiter, first) or f"{path}: not a CSV table: "
-                         f"{str(error).splitlines()[0]}") from None
+                         f"{cause(error)}") from None
     return Table(path, columns, f"CSV: {DELIMITERS[delimiter]}, {encoding}")
 
 

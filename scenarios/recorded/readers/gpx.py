@@ -10,7 +10,7 @@ import gpxpy
 import gpxpy.gpx
 import numpy as np
 
-from .table import Table, table_of
+from .table import Table, cause, table_of
 
 
 def read_gpx(path: Path, data: bytes) -> Table:
@@ -19,7 +19,7 @@ def read_gpx(path: Path, data: bytes) -> Table:
     try:
         found = gpxpy.parse(data)
     except (gpxpy.gpx.GPXException, ValueError, AttributeError) as error:
-        raise ValueError(f"{path}: not a GPX file: {str(error).splitlines()[0]}") from None
+        raise ValueError(f"{path}: not a GPX file: {cause(error)}") from None
     segments = [segment.points for track in found.tracks for segment in track.segments if segment.points]
     points = [point for segment in segments for point in segment]
     if not points:

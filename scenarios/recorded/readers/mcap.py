@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory as Ros2
 
 from .messages import Series
-from .table import Table
+from .table import Table, cause
 
 
 class Json(DecoderFactory):
@@ -35,6 +35,5 @@ def read_mcap(path: Path) -> Table:
                 kinds.add(schema.name if schema else channel.message_encoding)
                 series.add(channel.topic, message.log_time, decoded)
     except (McapError, OSError, ValueError, EOFError, KeyError) as error:
-        raise ValueError(f"{path}: not an MCAP log that can be read: {type(error).__name__}: "
-                         f"{(str(error).splitlines() or [''])[0]}") from None
+        raise ValueError(f"{path}: not an MCAP log that can be read: {type(error).__name__}: {cause(error)}") from None
     return series.table(str(path), f"MCAP: {', '.join(sorted(kinds)[:4])}")

@@ -10,7 +10,7 @@ import numpy as np
 from asammdf import MDF
 from asammdf.blocks.utils import MdfException
 
-from .table import Table, joined
+from .table import Table, cause, joined
 
 
 def read_mf4(path: Path) -> Table:
@@ -26,8 +26,7 @@ def read_mf4(path: Path) -> Table:
                     if signal.unit:
                         units[name] = signal.unit
     except (MdfException, OSError, ValueError, KeyError, IndexError) as error:
-        raise ValueError(f"{path}: not an MF4 measurement that can be read: "
-                         f"{(str(error).splitlines() or [''])[0]}") from None
+        raise ValueError(f"{path}: not an MF4 measurement that can be read: {cause(error)}") from None
     if not series:
         raise ValueError(f"{path}: holds no numeric channel")
     return joined(str(path), series, "time [s]", "MF4", units)

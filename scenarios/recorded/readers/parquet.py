@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .table import INDEX, Table
+from .table import INDEX, Table, cause
 
 
 def read_parquet(path: Path) -> Table:
@@ -17,7 +17,7 @@ def read_parquet(path: Path) -> Table:
     try:
         found = pq.ParquetFile(path).read()
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: not a Parquet table: {str(error).splitlines()[0]}") from None
+        raise ValueError(f"{path}: not a Parquet table: {cause(error)}") from None
     names = [str(name) for name in found.column_names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -10,7 +10,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from .messages import Series
-from .table import Table
+from .table import Table, cause
 
 
 def read_rosbag(path: Path) -> Table:
@@ -23,5 +23,5 @@ def read_rosbag(path: Path) -> Table:
                     kinds.add(connection.msgtype)
                     series.add(connection.topic, stamp, reader.deserialize(raw, connection.msgtype))
     except (AnyReaderError, OSError, ValueError, KeyError, TypeError, AssertionError) as error:
-        raise ValueError(f"{path}: not a rosbag2 that can be read: {(str(error).splitlines() or [''])[0]}") from None
+        raise ValueError(f"{path}: not a rosbag2 that can be read: {cause(error)}") from None
     return series.table(str(path), f"rosbag2: {', '.join(sorted(kinds)[:4])}")

@@ -35,6 +35,11 @@ class Table:
         return int(self.columns.num_rows)
 
 
+def cause(error: Exception) -> str:
+    """The first line of what a package says of a file, "" where it says nothing."""
+    return next(iter(str(error).splitlines()), "")
+
+
 def table_of(path: str, columns: Mapping[str, Array | list[str]], said: str,
              units: Mapping[str, str] | None = None) -> Table:
     """A table from arrays of one length; NaN where a column has no value."""
