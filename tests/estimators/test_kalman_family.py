@@ -106,6 +106,34 @@ def test_batches_are_bit_identical(name: str, plant: str) -> None:
             np.testing.assert_array_equal(large[..., part], alone)
 
 
+@pytest.mark.parametrize("name", FAMILY)
+@pytest.mark.parametrize(("plant", "runs"), [("wide", 300), ("wide, correlated", 300), ("coasting", 2100)])
+def test_runs_beyond_a_tile_are_as_any(name: str, plant: str, runs: int) -> None:
+    """Of 16 states 128 runs are a tile, of 2 states 1024. One of the second tile and of the third are lost in the last
+    prediction."""
+    wide = {"nx": 16, "ny": 3, "correlated": plant != "wide"}
+    model = models.coasting(runs) if plant == "coasting" else models.linear(runs, **wide)
+    data, gone = models.record(model, runs, 3), np.isin(np.arange(runs), [runs // 2, runs - 1])
+
+    def followed(part: slice) -> list[Array]:
+        def process(x: Array, u: Array, interval: Interval) -> Array:
+            assert model.process_covariance is not None
+            q = model.process_covariance(x, u, interval)
+            return q - 50.0 * np.eye(model.nx)[:, :, None] * (gone[part] & (interval.depart == 2))
+
+        estimator = FAMILY[name]()
+        some = Record(*(np.ascontiguousarray(a[..., part]) for a in (data.u, data.y, data.received, data.truth)))
+        own = replace(model, initial_mean=model.initial_mean[:, part].copy(), process_covariance=process)
+        means, covariances = models.feed(estimator, own, some)
+        assert covariances is not None
+        return [means, covariances, estimator.status]
+
+    whole, thirds = followed(slice(None)), [slice(i * runs // 3, (i + 1) * runs // 3) for i in range(3)]
+    for all_, parts in zip(whole, zip(*map(followed, thirds), strict=True), strict=True):
+        np.testing.assert_array_equal(all_, np.concatenate(parts, axis=-1))
+    assert np.flatnonzero(whole[2]).tolist() == np.flatnonzero(gone).tolist()
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("name", FAMILY)
 def test_covariances_stay_symmetric_and_positive(name: str, plant: str) -> None:

@@ -188,3 +188,21 @@ def test_general_modes_go_through_the_full_form() -> None:
         np.testing.assert_allclose(estimate.mean[:, 0], wanted[k], rtol=0, atol=1e-11)
         assert estimate.parameter is not None
         np.testing.assert_allclose(estimate.parameter[0, 0], values[k], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("part", "state", "unknown"), [
+    ("none", 0, ""), ("variance", 0, "0123"), ("variance", 2, "23"), ("noise", 1, "123"), ("rule", 3, "3"),
+    ("rule", 0, "0123"), ("input", 4, "4")])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_known_states_lean_on_known_ones_only(part: str, state: int, unknown: str, backwards: bool) -> None:
+    """States 0 to 3 are a chain, each moves the next; 4 moves nothing and nothing moves it."""
+    A, B, Q, P = np.repeat(np.eye(5)[None], 2, axis=0), np.ones((2, 5, 1)), np.zeros((5, 5)), np.zeros((5, 5))
+    A[:, [1, 2, 3], [0, 1, 2]] = 0.1
+    for name, changed in (("variance", P), ("noise", Q), ("rule", A[1]), ("input", B[1])):
+        if part == name:
+            changed[state, min(state, changed.shape[1] - 1)] = 2.0
+    way = np.arange(5)[::-1 if backwards else 1]
+    modes = Grid("none", np.zeros(2), A[:, way][:, :, way], B[:, way], np.eye(5)[:1], Q[way][:, way], np.eye(1),
+                 np.full(2, 0.5))
+    known = transitions.known_states(modes, P[way][:, way])
+    assert known[way].tolist() == [str(i) not in unknown for i in range(5)]
