@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 from railstate.benchmarks.running.drive import prepare
 from railstate.benchmarks.running.loop import Loop, Observer
-from railstate.estimators.late import Rewinding, for_late
+from railstate.estimators.interface import Estimate, Estimator
+from railstate.estimators.late import Mailbox, Rewinding, for_late
 from railstate.estimators.registry import estimators
+from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Interval, Measurement
 from railstate.scenarios.randomness import Streams
+from railstate.scenarios.world import Event
+
+from ..models import random, still
 
 LATE, DEPTH = 12, 4
 
@@ -100,3 +106,87 @@ plugin = "kalman"
     claimed = {"drop": 1 / (1 - a * a), "as-new": ahead, "rewind": exact}[policy]
     assert pytest.approx(claimed, rel=1e-4) == P
     assert policy != "rewind" or exact == pytest.approx(3.1636, abs=5e-5)
+
+
+def test_a_mailbox_hands_out_what_has_come_oldest_stamp_first() -> None:
+    def told(policy: str, listens: Any = None) -> list[list[tuple[Any, ...]]]:
+        mail = Mailbox(policy)
+        for step, number, late in ((3, 0, [[1, 2, 0]]), (2, 1, [[2, 0, 2]]), (2, 0, [[2, 3, 1]])):
+            y = np.array([[10.0 * step + number] * 3])
+            mail.post(Event(1.0, y, np.zeros((1, 3), bool), y[None], np.array(late)), step, number, 0.5 * step)
+        mail.post(Event(1.0, y, np.ones((1, 3), bool)), 3, 2, 0.0)
+        return [[(m.y[0, 0], m.received.tolist(), m.step, m.event, m.time, m.covariance.shape)
+                 for m in mail.due(step, 7, 9.0, listens)] for step in range(2, 7)]
+
+    a, b, c, both, shape = *np.eye(3, dtype=bool)[:, None].tolist(), [[True, False, True]], (1, 1, 3)
+    assert told("rewind") == [
+        [], [(20.0, c, 2, 0, 1.0, shape)],
+        [(20.0, a, 2, 0, 1.0, shape), (21.0, both, 2, 1, 1.0, shape), (30.0, a, 3, 0, 1.5, shape)],
+        [(20.0, b, 2, 0, 1.0, shape), (30.0, b, 3, 0, 1.5, shape)], []]
+    assert told("as-new", np.array([True, False, True])) == [
+        [], [(20.0, c, 3, 7, 9.0, shape)],
+        [(20.0, a, 4, 7, 9.0, shape), (21.0, both, 4, 7, 9.0, shape), (30.0, a, 4, 7, 9.0, shape)], [], []]
+    assert told("drop") == [[]] * 5
+
+
+class Order(Estimator):
+    """A number that tells in which order things have come."""
+
+    def start(self, model: Any, runs: int, random: Any) -> None:
+        super().start(model, runs, random)
+        self.x, self.heard = np.ones((1, runs)), np.zeros(runs)
+
+    def predict(self, u: Any, interval: Interval) -> None:
+        self.x = (2 * self.x + interval.step) % 9973
+
+    def update(self, measurement: Measurement) -> None:
+        self.x = np.where(measurement.received, 5 * self.x + measurement.y, self.x) % 9973
+        self.heard = self.heard + measurement.received.sum(axis=0)
+
+    def estimate(self) -> Estimate:
+        return Estimate(self.x)
+
+    def counters(self) -> dict[str, Any]:
+        return {"heard": self.heard}
+
+    def extremes(self) -> dict[str, Any]:
+        return {"x": self.x[0]}
+
+
+@pytest.mark.parametrize("depth", [1, 2, 5])
+def test_all_events_of_a_step_are_gone_through_again(depth: int) -> None:
+    """Two events a step, each packet late by 0 to 3 steps; what is older than `depth` steps is not taken."""
+    rng, runs, steps = np.random.default_rng(depth), 3, 15
+    late = rng.integers(0, 4, (steps, 2, 1, runs))
+    own, estimator = still(runs), for_late(Order(), "rewind", depth)
+    assert isinstance(estimator, Rewinding) and (estimator.late, estimator.depth) == ("rewind", depth)
+    estimator.start(own, runs, random(runs))
+    for k in range(steps):
+        for event in range(2):
+            estimator.predict(np.zeros((1, runs)), Interval(k, 0.0, 0.5, 0.5))
+            estimator.update(Measurement(np.full((1, runs), 10.0 * k + event), late[k, event] == 0, k, event))
+        for stamp in range(k):
+            for event in range(2):
+                if (came := late[stamp, event] == k - stamp).any():
+                    estimator.update(Measurement(np.full((1, runs), 10.0 * stamp + event), came, stamp, event))
+        wanted = Order()
+        wanted.start(own, runs, random(runs))
+        for stamp in range(k + 1):
+            for event in range(2):
+                wanted.predict(np.zeros((1, runs)), Interval(stamp, 0.0, 0.5, 0.5))
+                there = late[stamp, event] <= min(depth, k - stamp)
+                wanted.update(Measurement(np.full((1, runs), 10.0 * stamp + event), there, stamp, event))
+        counted = (estimator.extremes, estimator.counters, lambda: {"mean": estimator.estimate().mean})
+        for say in counted if k % 2 else counted[::-1]:
+            for name, value in say().items():
+                np.testing.assert_array_equal(value, {"x": wanted.x[0], "heard": wanted.heard, "mean": wanted.x}[name])
+
+
+def test_who_rewinds() -> None:
+    own, smoother = Order(), Order()
+    smoother.lag, smoother.handles_late = None, False
+    assert [for_late(own, policy, depth) is own for policy, depth in (("drop", 3), ("as-new", 3), ("rewind", 0))] == [
+        True, True, True]
+    with pytest.raises(Unsupported, match=r'^a smoother cannot rewind: late = "drop" or "as-new"$'):
+        for_late(smoother, "rewind", 0)
+    assert for_late(smoother, "as-new", 2).late == "as-new"
