@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -189,6 +190,70 @@ def test_what_is_known_of_the_usual_channels():
     assert metro.uncertified == {}
     assert set(load("ningbo-metro", {"channel": {"kind": "delay", "steps": 2}}).setting("switching").uncertified) == {
         "guarantee", "as-new"}
+
+
+TURN, AFTER = "a node's turn is no independent draw", "who transmits depends on who did before"
+CONTENT, LATE = "try-once-discard picks readings by their content, noise included", "packets come late"
+OLD = "the receiver hands on old values as if they were fresh"
+
+
+@pytest.mark.parametrize(("table", "known"), [
+    ({"kind": "csma", "p": 0.25, "trains": [2, 4], "traffic": "uniform"}, (0.10546875, 0.1875, (), (), 0.15234375)),
+    ({"kind": "csma", "p": 0.25, "trains": 3}, (0.140625, 0.140625, (), (), 0.120849609375)),
+    ({"kind": "gilbert-elliott", "p_good_bad": 0.25, "p_bad_good": 0.5, "p_good": 0.75, "p_bad": 0.25}, (0.5, 0.625)),
+    ({"kind": "random-access", "p": [0.25, 0.75], "nodes": [[0, 2], [1]]}, (0.25, 0.75, ((0, 2), (1,)), (0.25, 0.75))),
+    ({"kind": "round-robin"}, (0.0, 1.0, (), (), None, TURN)), ({"kind": "round-robin", "nodes": [[0, 1]]}, ()),
+    ({"kind": "round-robin", "nodes": [[1], [0, 2]]}, (0.0, 1.0, ((1,), (0, 2)), (0.5, 0.5), None, TURN)),
+    ({"kind": "try-once-discard", "nodes": [[1], [0]]}, (0.0, 1.0, ((1,), (0,)), (0.5, 0.5), None, CONTENT, CONTENT)),
+    ({"kind": "markov-random-access", "stay": 0.5}, (0.0, 1.0, (), (), None, AFTER)),
+    ({"kind": "markov-random-access", "transition": [[0.75, 0.25], [0.5, 0.5]], "nodes": [[0], [1]]},
+     (0.25, 0.75, ((0,), (1,)), (2 / 3, 1 / 3), None, AFTER)),
+    ({"kind": "delay", "steps": [0, 1], "loss": {"kind": "random-access", "p": [0.25, 0.75], "nodes": [[0], [1]]}},
+     (0.0, 0.75, ((0,), (1,)), (0.25, 0.75), None, LATE)),
+    ({"kind": "delay", "steps": 0, "loss": {"kind": "csma", "p": 0.25, "trains": 3}},
+     (0.140625, 0.140625, (), (), 0.120849609375)),
+    ({"kind": "csma", "p": 0.25, "trains": 3, "silent": "hold"},
+     (0.140625, 0.140625, (), (), 0.120849609375, OLD, OLD))])
+def test_what_is_known_of_every_channel(table, known):
+    found, wanted = channel(**table).reception(), Reception(*known)
+    assert found.p == pytest.approx(wanted.p)
+    assert replace(found, p=wanted.p) == wanted
+
+
+@pytest.mark.parametrize(("table", "longest"), [
+    ({"kind": "ideal"}, 0), ({"kind": "delay"}, 1), ({"kind": "delay", "steps": [2, 5]}, 5),
+    ({"kind": "delay", "steps": 4, "silent": "hold"}, 0)])
+def test_how_late_a_packet_can_be(table, longest):
+    assert channel(**table).longest == longest
+
+
+@pytest.mark.parametrize(("table", "said"), [
+    ({"kind": "csma", "trains": [3, 3]}, 'traffic = "constant" needs a single number of trains, such as trains = 2'),
+    ({"kind": "csma", "trains": [3, 3], "traffic": "uniform"}, ""),
+    ({"kind": "csma", "trains": [4, 3], "traffic": "uniform"}, "trains = [least, most] needs least <= most"),
+    ({"kind": "delay", "steps": [2, 2]}, ""), ({"kind": "delay", "steps": [3, 2]},
+                                               "steps = [least, most] needs least <= most"),
+    ({"kind": "round-robin", "nodes": [[0, 1], [1]]},
+     "nodes share a measurement element: each element belongs to one node"),
+    ({"kind": "random-access", "p": [0.5, 0.5], "nodes": [[0]]},
+     "p has 2 probabilities for 1 nodes: one each is needed"),
+    ({"kind": "random-access", "p": [0.5, 0.25], "nodes": [[0], [1]]}, "p must sum to 1, but sums to 0.75"),
+    ({"kind": "random-access", "p": [0.5, 0.5 + 9e-10], "nodes": [[0], [1]]}, ""),
+    ({"kind": "markov-random-access", "transition": [[0.5, 0.5 + 9e-10], [0.5, 0.5]]}, ""),
+    ({"kind": "markov-random-access", "transition": [[0.0, 1.0], [1.0, 0.0]]}, ""),
+    ({"kind": "markov-random-access"},
+     "needs either transition (a row of probabilities a node) or stay (a probability)"),
+    ({"kind": "markov-random-access", "transition": [[1.0], [0.5, 0.25]]},
+     "transition must be square with rows that sum to 1; row 0 has 1 entries that sum to 1"),
+    ({"kind": "markov-random-access", "transition": [[1.0, 0.0], [0.0, 1.0]]},
+     "transition has nodes that never follow from others: no one stationary distribution")])
+def test_tables_of_channels_that_are_none(table, said):
+    if not said:
+        channel(**table)
+        return
+    with pytest.raises(ValidationError) as caught:
+        channel(**table)
+    assert [error["msg"] for error in caught.value.errors()] == [f"Value error, {said}"]
 
 
 class Drawn:
