@@ -34,7 +34,8 @@ def keep_errors(vector, truth, active, scored, diagonal, places, estimated, inde
 
 @njit(cache=True)
 def shares(error, limit, counts):  # pyright: ignore
-    """(share of steps with |error| <= limit, largest |error| / limit, largest error, largest -error), (S,) each."""
+    """(share of steps with |error| <= limit, largest |error| / limit, largest error, largest -error), (S,) each; no
+    error uses nothing of a limit of 0, any other more than all of it."""
     runs = error.shape[0]
     inside, use = np.full(runs, np.nan), np.full(runs, np.nan)
     over, under = np.full(runs, np.nan), np.full(runs, np.nan)
@@ -47,7 +48,7 @@ def shares(error, limit, counts):  # pyright: ignore
                 lost = lost or not np.isfinite(e)
                 steps += 1
                 good += 1 if abs(e) <= limit[r, k] else 0
-                most = max(most, abs(e) / limit[r, k])
+                most = max(most, 0.0 if e == 0.0 else np.inf if limit[r, k] == 0.0 else abs(e) / limit[r, k])
                 high, low = max(high, e), max(low, -e)
         if steps and not lost:
             inside[r], use[r], over[r], under[r] = good / steps, most, high, low

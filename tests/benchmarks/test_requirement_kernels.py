@@ -24,11 +24,14 @@ def runs(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_shares(seed: int) -> None:
+    """A limit of 0 is kept by no error alone."""
     error, limit, counts = runs(seed)
+    limit[9], error[10, 3:], limit[10, 3:] = 0.0, 0.0, 0.0
     for run, found in enumerate(zip(*shares(error, limit, counts), strict=True)):
         e, top = error[run, counts[run]], limit[run, counts[run]]
         known = len(e) and np.isfinite(e).all()
-        wanted = (np.mean(abs(e) <= top), max(abs(e) / top), max(0, *e, 0), max(0, *-e, 0)) if known else [np.nan] * 4
+        used = [0.0 if not a else np.inf if not b else abs(a) / b for a, b in zip(e, top, strict=True)]
+        wanted = (np.mean(abs(e) <= top), max(used), max(0, *e, 0), max(0, *-e, 0)) if known else [np.nan] * 4
         np.testing.assert_array_equal(found, wanted)
 
 

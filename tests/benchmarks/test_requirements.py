@@ -148,6 +148,19 @@ def test_the_change_of_the_error_over_a_distance() -> None:
         assert found[f"change-{distance}m:position"][0] == pytest.approx(0.02 * distance)
 
 
+@pytest.mark.parametrize(("form", "own"), [
+    ("allowance", "inside use over under"), ("speed", "inside use over under"), ("stop", "error"),
+    ("confidence", "inside half-width k99"), ("percentile", "p97.5")])
+def test_which_columns_a_requirement_has(form: str, own: str) -> None:
+    """Changes over a distance where something is about references, and of what is a length."""
+    truth, error, reference = driven(0.02, 500.0)
+    table = {**SOUND[form], **({"percent": 97.5} if form == "percentile" else {})}
+    found = scored(asked(form=form, **table), truth[:20], error[:20], np.ones((20, 1)), reference=reference[:20])
+    about = asked(form=form, **table).quantity
+    assert list(found) == [*(f"p{percent}:{about}" for percent in (50, 95, 99)), *(
+        f"change-{length}m:{about}" for length in (10, 100, 1000) if form == "allowance"), "kept", *own.split()]
+
+
 def test_no_batch_changes_a_bit() -> None:
     truth, error, variance, mask = random_case()
     for form in ({"form": "confidence", "k": 2.0}, {"form": "speed", "points": [[5.0, 0.4]]},

@@ -1,0 +1,122 @@
+"""Figures of unusual cells: long runs, values over decades, ends that few runs reach, what one estimator alone kept.
+
+Every figure is asked of every cell, whatever its setting; what is drawn stands in committed text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from railstate.benchmarks.planning.plan import make_plan
+from railstate.benchmarks.telling.figures import catalogue
+from railstate.benchmarks.telling.figures.catalogue import FIGURES, Figure, of_scenario
+from railstate.benchmarks.telling.figures.data import CROWD, CellResults, Curve, Kept, Results, assign_styles
+
+from ..expected import figure
+
+Expected = Callable[[str, str], None]
+OF_ROWS = ("errors-per-run", "accuracy-latency", "certified", "headway")
+T = np.linspace(0.0, 90.0, 300)
+RISE = np.exp(0.05 * T)
+"""Over a factor of 90: a scale that may be logarithmic is."""
+
+
+def kept(labels: list[str], names: tuple[str, ...]) -> dict[tuple[str, str], Kept]:
+    """Tracks that rise over decades, each label's error greater than that before, all of one sign."""
+    return {(label, name): Kept(T, RISE + place, (1.1 + number / 4) * RISE + place, 0.1 * RISE + number)
+            for number, label in enumerate(labels) for place, name in enumerate(names)}
+
+
+def curves(labels: list[str], names: tuple[str, ...], floor: bool) -> dict[tuple[str, str], Curve]:
+    """Of 40 runs, of which fewer go on: 5, then 4 and then 3. Each label's errors are 7 times those before."""
+    active = np.where(T < 60, 40.0, np.where(T < 80, 5.0, np.where(T < 85, 4.0, 3.0)))
+    found = {}
+    for number, label in enumerate(labels):
+        mean = 7.0 ** number * (2 + np.sin(T))
+        for name in names:
+            found[label, name] = Curve(T, active, active * mean, active * mean**2 * (2 + np.cos(T)) / 2, 0.3 * active,
+                                       active * mean / 4 if floor else np.full(len(T), np.nan))
+    return found
+
+
+def unusual(cell: CellResults) -> list[CellResults]:
+    """Wide ranges with a floor; three labels, of which the first kept nothing; nothing received but at the end."""
+    labels, names = cell.ran, tuple(cell.about["quantities"])
+    extras = {("", name): Kept(T, value, value, value) for name, value in (
+        ("received", (T > 80) * 1.0), ("gradient", RISE / 1e3), ("disturbance", -RISE), ("speed-limit", 0 * T + 40.0),
+        ("outage", (T % 30 > 20) * 1.0), ("since-reference", np.where(T < 20, np.nan, T % 30)),
+        ("reference-error", 0.01 * T))}
+    asked = [{"form": "allowance", "constant": 5.0, "share": 0.05},
+             {"form": "confidence", "name": "near", "k": 2.0, "accept": 0.9, "quantity": names[0]}]
+    wide = replace(cell, kept={**kept(labels, (*names, "diversity")), **extras}, curves=curves(
+        labels, (*names, "nees", "nis"), True), table={"requirements": asked, "estimators": {}})
+    few = labels[:3]
+    rows = cell.rows[cell.rows["estimator"].isin(few)]
+    factor = rows["estimator"].map({label: 10.0**place for place, label in enumerate(few)})
+    rows = rows.assign(**{name: rows[name] * factor for name in rows.columns if name.startswith(("rmse", "mae"))}, **{
+        "half-width:near:m": factor * (1 + rows["run"]), "inside:near:1": 1 - 0.001 * factor,
+        "begin:outage:s": rows["run"] % 4 * 10.0 + 5, "rmse:position-outage-end:m": (1 + rows["run"]) * factor})
+    some = replace(cell, rows=rows, kept=kept(few[1:], names), curves=curves(few, (*names, "nis"), False), width=400.0,
+                   table={"requirements": asked[1:], "estimators": {}}, only=names[-1:])
+    return [wide, some, replace(
+        cell, kept={("", "received"): Kept(T, 0 * T, T, T)}, curves={}, table={"estimators": {}})]
+
+
+def test_figures_of_unusual_cells(results: Results, expected: Expected) -> None:
+    """Each once of a kind of cell, and once more where there are many estimators; not those of the rows alone."""
+    out = dict[tuple[str, int, bool], str]()
+    for cells in results.scenarios.values():
+        for number, cell in enumerate(unusual(cells[0])):
+            for one in FIGURES:
+                key = one.name, number, len(cell.ran) > CROWD
+                if one.draw and key not in out and one.name not in ("track", "gap", *OF_ROWS[:0 if number == 1 else 9]):
+                    canvas = one.draw(cell)
+                    out |= {key: f"{one.name} {cell.key} {number}\n{figure(canvas.svg())}"} if canvas else {}
+    expected("figures-unusual", "\n".join(out.values()))
+
+
+def test_figures_of_two_trains(results: Results, expected: Expected) -> None:
+    """Under moving and fixed block; the encoder alone beside a filter; a run that ends early; no filter at all."""
+    tables = [found.table for found in make_plan(["moving-block/law-p", "moving-block/law-p-fixed-block"]).cells]
+    cell = results.scenarios["ningbo-metro"][0]
+    ended = np.where(T < 70, 1.0, np.nan)
+    laps = {f"{kind}{axis}-{train}": ended * (1 + 0.02 * (kind != "")) * way(T / 9 - (train == "b"))
+            for kind in ("", "estimate-") for axis, way in (("x", np.cos), ("y", np.sin)) for train in "ab"}
+    tracks = {**laps, "s-a": ended * (2 + RISE / 9), "s-b": ended * (1 + RISE / 9), "gap": ended * (0.5 + RISE / 99),
+              "kept-distance": 0.4 + T / 99}
+    out = []
+    for labels, table in ((("dead-reckoning", "robust", "ekf"), tables[0]), (("robust", "dead-reckoning"), tables[1]),
+                          (("ckf", "robust"), tables[1])):
+        rows = cell.rows[cell.rows["run"] < len(labels)].assign(estimator=lambda found, labels=labels: [
+            labels[run] for run in found["run"]])
+        one = replace(cell, rows=rows, table=table, styles=assign_styles([labels]),
+                      kept={(label, name): Kept(T, (1 + place) * values, values, values)
+                            for place, label in enumerate(labels) for name, values in tracks.items()
+                            if label != "robust" or "estimate" not in name})
+        out.append(one)
+    drawn = [found for one in FIGURES if "moving-block" in one.kinds for found in (
+        map(one.draw, out) if one.draw else [one.draw_all(cells) for cells in (out, out[2:])] if one.draw_all else [])]
+    expected("figures-trains", "\n".join(figure(canvas.svg()) if canvas else "none" for canvas in drawn))
+
+
+def test_which_settings_have_a_figure_of_their_own(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others have none of it, whatever their runs kept; a figure of a whole scenario stands for no variant."""
+    canvas, cells = object(), results.scenarios["ningbo-metro"]
+    kinds = {"speed-profile": "metro", "sections": "metro", "recorded-trip": "recorded", "outages": "recorded",
+             "parameter": "braking", "receptions": "coupled-cars", "headway": "coupled-cars", "trace": "linear",
+             "track": "moving-block", "trains": "moving-block", "gap": "moving-block"}
+    for one in FIGURES:
+        draws = {name: lambda _: canvas for name in ("draw", "draw_all") if getattr(one, name)}
+        assert len(draws) == 1
+        for kind in ("metro", "recorded", "braking", "coupled-cars", "linear", "moving-block", "odometry"):
+            of_kind = [replace(cell, about={**cell.about, "kind": kind}) for cell in cells[:2]]
+            found = list(of_scenario(replace(one, **draws), of_kind))  # type: ignore[arg-type]
+            names = ["switching", "white"] if one.draw else [""]
+            assert found == ([(name, canvas) for name in names] if kinds.get(one.name, kind) == kind else []), one.name
+            assert not list(of_scenario(replace(one, **{name: lambda _: None for name in draws}), of_kind))
+    some = tuple(Figure(name, "", "", lambda _: canvas) for name in ("a", "b"))  # type: ignore[arg-type,return-value]
+    monkeypatch.setattr(catalogue, "FIGURES", some)
+    assert [figure.name for figure, *_ in catalogue.drawn(results)] == ["a"] * 6 + ["b"] * 6
+    assert {figure.name for figure, *_ in catalogue.drawn(results, "b")} == {"b"}
