@@ -4,6 +4,7 @@ The real one is in `test_cluster.py`; here its words, its bookkeeping and every 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from distributed import KilledWorker
 from joblib.externals import loky  # pyright: ignore[reportMissingImports]
 from railstate.benchmarks.isolation.process import Ended
 from railstate.benchmarks.planning.plan import Plan, make_plan
-from railstate.benchmarks.running import cluster
+from railstate.benchmarks.running import cluster, result
 from railstate.benchmarks.running.isolated import Loss, Losses
 from railstate.benchmarks.running.machinery import Machinery
 from railstate.benchmarks.running.runner import run
@@ -186,6 +187,28 @@ def test_a_task_of_a_stranger_on_a_worker(plan: Plan) -> None:
     lost = cluster.compute(task, machinery, {}, digest, before)
     assert lost.result is not None and lost.losses == {} and set(lost.result.rows["status"].to_pylist()) == {"timeout"}
     assert set(lost.result.rows["reason"].to_pylist()) == {"not run after 3 lost processes: hung"}
+
+
+def test_what_a_worker_loses_is_told_where_the_command_runs(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not on the worker, which knows what was lost before."""
+    (task,) = [task for task in cluster.make_tasks(plan, {}, 1, 6) if task.labels == ("half",)]
+    key, ended, seen = ("cart/calm", "half"), Ended(Status.crashed, "died"), []
+
+    def loses(tasks: list[Any], machinery: Machinery, losses: Losses) -> Iterator[Any]:
+        seen.append((tasks, machinery, dict(losses.found)))
+        losses.put(key, Loss(1, 4, ended))
+        yield result.lost(tasks[0], *ended)
+
+    monkeypatch.setattr(cluster, "isolated", loses)
+    before = {key: Loss(2, 2, Ended(Status.timeout, "hung")), ("cart/calm", "other"): Loss(1, 1, ended)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = cluster.compute(task, Machinery(1), {}, plan.catalogue["half"].hash, before)
+    assert found.unlike == "" and found.losses == {key: Loss(1, 4, ended)} and seen == [([task], Machinery(1), before)]
+    assert found.result is not None and (found.result.curves, found.result.kept) == (None, None)
+    assert found.result.rows.equals(result.lost(task, *ended).rows)
+    own = next(task for task in cluster.make_tasks(plan, {}, 1, 6) if task.labels != ("half",))
+    assert cluster.compute(own, Machinery(1), {"numpy": "0"}, "", {}).result is None
 
 
 def test_losses_end_an_estimator_in_a_cell() -> None:
