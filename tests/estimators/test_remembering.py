@@ -18,7 +18,10 @@ from railstate.estimators import registry
 from railstate.estimators.interface import Estimator
 from railstate.estimators.random_access.estimators import RandomAccessParameters
 from railstate.estimators.registry import estimators
-from railstate.scenarios.errors import InputError, Unsupported
+from railstate.scenarios.errors import Infeasible, InputError, Unsupported
+from railstate.scenarios.model import Grid, grid_modes
+
+from ..models import random
 
 BEFORE = 7
 """Steps before the snapshot."""
@@ -85,8 +88,8 @@ def refusal(name: str, parameters: dict[str, Any] | None = None, **changes: Any)
 
 def test_models_that_do_not_do(expected: Callable[[str, str], None]) -> None:
     """Whole refusals of a design model that lacks what an estimator stands on."""
-    linear = small_model(np.zeros((2, 3))).linear
-    assert linear is not None
+    linear, bounds = small_model(np.zeros((2, 3))).linear, small_model(np.zeros((2, 3))).bounds
+    assert linear is not None and bounds is not None
     leaning = np.array([[4.0, 0.5], [0.5, 1.0]])[:, :, None]
     said = {
         "coupled noise": refusal("gate", measurement_covariance=lambda measurement: leaning),
@@ -100,7 +103,22 @@ def test_models_that_do_not_do(expected: Callable[[str, str], None]) -> None:
         "two needs": refusal("random-access", linear=None, reception=None),
         "telling": refusal("ultimate-bound", tells=("position", "speed")),
         "no bounds": refusal("robust-bounded", bounds=None),
+        "weights": refusal("h-infinity", {"weights": [1.0, 2.0, 3.0]}),
+        "sensors without bounds": refusal("robust-bounded", bounds=replace(bounds, v_bar=np.full(2, np.inf))),
+        "forces without bounds": refusal("robust-bounded", bounds=replace(bounds, w_bar=np.array([np.inf]))),
+        "a zonotope's sensors": refusal("zonotope", bounds=replace(bounds, v_bar=np.full(2, np.inf))),
+        "a zonotope's forces": refusal("zonotope", bounds=replace(bounds, w_bar=np.array([np.inf]))),
+        "curvature": refusal("robust-bounded", {"kappa": 1.0}),
+        "a gain": refusal("fixed-gain", {"gain": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]}),
+        "an ultimate bound": refusal("ultimate-bound", bounds=replace(bounds, M=np.ones((2, 1)))),
+        "three in a group": refusal("gsma", modes=grid_modes(Grid(
+            "f", np.array([0.2, 0.5]), *(np.zeros((2, 2, n)) for n in (2, 1)), np.eye(2), np.eye(2), np.eye(2),
+            np.full(2, 0.5)), small_model(np.zeros((2, 3)))), initial_covariance=np.zeros((2, 2, 1))),
     }
+    for parameters in ({"kappa": -2.0}, {"kappa": -2.5, "alpha": 0.5}):
+        with pytest.raises(Infeasible) as caught:
+            estimators()["ukf"](parameters).start(small_model(np.zeros((2, 3))), 3, random(3))
+        said[f"ukf {parameters}"] = str(caught.value)
     expected("refused-models", "\n".join(f"{what}: {text}" for what, text in said.items()))
 
 
