@@ -5,6 +5,7 @@ What is refused often stands in `tests/expected/refusals.txt`."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,11 +17,14 @@ from railstate.estimators.ultimate_bound import lmi
 from railstate.estimators.ultimate_bound.estimators import ConstantGain, FastestDecay
 from railstate.estimators.ultimate_bound.gains import read_gain
 from railstate.estimators.ultimate_bound.moments import mean_square
+from railstate.scenarios.augmented import Extra, augmented
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load, parse
-from railstate.scenarios.inheritance import set_dotted, with_entry
+from railstate.scenarios.inheritance import Read, inherited, set_dotted, with_entry
+from railstate.scenarios.linear.expressions import expression
 from railstate.scenarios.model import DesignModel, Linear, grid_of, linear_model
 from railstate.scenarios.recorded.places import _way
+from railstate.scenarios.schema import Augment
 from railstate.scenarios.setting import Setting
 
 from ..conftest import SCENARIO
@@ -84,6 +88,50 @@ STORY: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
         lambda: _way([shapely.LineString([[0, 0], [10, 0]]), shapely.LineString([[500, 0], [510, 0]])],
                      shapely.LineString([[0, 0], [510, 0]]), shapely.points([0, 510], [0, 0])), ValueError,
         "the track's pieces do not connect where the recording begins with where it ends")}
+
+
+BASE = "a.toml: base: must be a scenario's name, NAME/VARIANT or the path of a TOML file"
+WHOLE: dict[str, tuple[Callable[[], Any], str]] = {
+    "two ways of entering": (
+        lambda: Extra("bias", "m", "walk", 1.0, column=np.ones(1), input=0),
+        "bias: an extra state takes exactly one of gain, column, input"),
+    "no way": (lambda: Extra("bias", "m", "walk", 1.0),
+               "bias: an extra state takes exactly one of gain, column, input"),
+    "no time constant": (lambda: Extra("bias", "m", "gauss-markov", 1.0, column=np.ones(1)),
+                         'bias: kind = "gauss-markov" needs a time_constant in s'),
+    "a scale on no input": (
+        lambda: augmented(linear(np.eye(2)), [Extra("scale", "1", "walk", 1.0, input=0)]),
+        "a scale on an input needs the design model's input_jacobian: this setting gives none"),
+    "a walk without a start": (lambda: metro().chosen({}, {"disturbance": Augment(kind="walk")}),
+                               'augment.disturbance: kind = "walk" needs a start_sd in m/s^2'),
+    "an extra state that there is not": (
+        lambda: metro().chosen({}, {"wind": Augment(kind="walk")}),
+        "augment.wind: there is no such extra state here; allowed: disturbance, position-bias, speed-bias"),
+    "a long expression": (lambda: expression("1" * 201), "an expression of 201 characters is too long; at most 200"),
+    "an expression at its end": (lambda: expression("1/(k-3)")(3), '"1/(k-3)" has no finite value at k = 3'),
+    "a base that is no text": (lambda: inherited(Read("a.toml", Path(), {"base": 3})),
+                               f"{BASE} (got 3)"),
+    "a base that is empty": (lambda: inherited(Read("a.toml", Path(), {"base": ""})),
+                             f"{BASE} (got '')"),
+    "a function of the first edition": (
+        lambda: replace(linear(np.eye(2)), transition=lambda x, u, k, portion: x),
+        "DesignModel.transition(x, u, k, portion) is of railstate's first edition: write transition(x, u, interval), "
+        "with interval.length in seconds, interval.share of the step's input and interval.depart for k; "
+        "measurement_covariance(measurement) likewise, with measurement.step for k"),
+    "infinite gains": (lambda: read_gain("infinite.csv"), "infinite.csv: a gain must have only finite numbers"),
+    "no gains": (lambda: read_gain("none.csv"),
+                 "none.csv: there is no such file, neither here nor beside the built-in scenarios"),
+}
+
+
+@pytest.mark.parametrize("what", WHOLE)
+def test_what_is_said_in_whole(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("infinite.csv").write_text("1.0,inf\n")
+    call, words = WHOLE[what]
+    with pytest.raises((InputError, ValueError)) as caught:
+        call()
+    assert str(caught.value) == words
 
 
 @pytest.mark.parametrize("what", STORY)
