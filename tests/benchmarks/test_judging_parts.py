@@ -18,6 +18,7 @@ from railstate.benchmarks.judging.selection import Aligned, apart, grounds, judg
 from railstate.benchmarks.judging.stopping import Precision, Rule, first_runs, rule
 from railstate.benchmarks.judging.table import verdicts
 from railstate.scenarios.errors import InputError
+from scipy.stats import beta
 
 from .test_judging import manifest, rows
 
@@ -146,6 +147,52 @@ def test_notes_of_few_runs_and_of_runs_that_carry_much() -> None:
     (0.1, 0.2, 20, "undecided"), (-0.2, -0.1, 20, "undecided")])
 def test_white_by_the_interval(low: float, high: float, n: int, word: str) -> None:
     assert claims.white(st.Intervals(*(np.array(v) for v in ((low + high) / 2, low, high, 0.0, n)))) == word
+
+
+def above(value: float) -> float:
+    return float(np.nextafter(value, 9.0))
+
+
+def below(value: float) -> float:
+    return float(np.nextafter(value, -9.0))
+
+
+@pytest.mark.parametrize(("value", "word"), [
+    (1.1, "consistent"), (above(1.1), "too sure"), (0.9, "consistent"), (below(0.9), "too cautious")])
+def test_claims_at_their_thresholds(value: float, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that all agree: the interval is the value, to the bit. From 20 runs on there is a verdict."""
+    for n, said in ((20, word), (19, "undecided")):
+        monkeypatch.setattr(claims, "hall", lambda *_, n=n, **__: st.Intervals(value, value, value, 0.0, n))  # type: ignore
+        assert claims.consistency(np.full(n, 7.0)) == claims.Claim(value, value, value, n, said, "")  # type: ignore
+        bound = claims.bounded(np.full(n, 7.0), np.array([value, np.nan]))
+        assert bound == claims.Bounded(value, value, value, value, n, "kept")
+        for limit, found in ((below(value), "broken"), (above(value), "kept")):
+            assert getattr(claims.bounded(np.full(n, 7.0), np.array([limit])), "verdict", "") == found
+    monkeypatch.setattr(claims, "share", lambda *_: st.Share(0.9, 0.95, 0.99, 5))
+    said = claims.consistency(np.append(np.full(19, 2.0), INF), [1.0])
+    assert (said.verdict, said.note) == ("undecided",
+                                         "singular claim with an error in 1 of 20 runs; few steps carry the mean")
+    for low, high, n in ((above(0.95), 0.99, 5), (0.9, below(0.95), 5), (0.9, 0.99, 0)):
+        monkeypatch.setattr(claims, "share", lambda *_, found=st.Share(0.9, low, high, n): found)
+        assert claims.consistency(np.array([INF])).verdict == "too sure"
+
+
+@pytest.mark.parametrize("hits", [0, 3, 4, 5, 50, 95, 96, 100])
+def test_required_shares_at_their_limits(hits: int) -> None:
+    """To the bit; from five of the rarer outcome on the interval is that of the runs' own spread."""
+    flags = (np.arange(100) < hits).astype(float)
+    found, z, t = st.share(flags), 1.959963984540054, 1.9842169515086827
+    if 5 <= hits <= 95:
+        p, variance = hits / 100, flags.var(ddof=1) / 100
+        size = p * (1 - p) / variance * (z / t) ** 2
+        limits = (beta.ppf(0.025, p * size, size - p * size + 1), beta.ppf(0.975, p * size + 1, size - p * size))
+    else:
+        middle, half = hits / 100 + z * z / 200, z * np.sqrt(hits * (100 - hits) / 1e6 + z * z / 4e4)
+        limits = (middle - half) / (1 + z * z / 100), (middle + half) / (1 + z * z / 100)
+    assert found == pytest.approx((hits / 100, *np.clip(limits, 0, 1), 100), abs=1e-9)
+    for least in (found.low, above(found.low or 0.01), found.high, above(found.high)):
+        word = "met" if least <= found.low else "undecided" if least <= found.high else "not met"
+        assert claims.requirement(flags, least).verdict == word
 
 
 def test_until_when() -> None:

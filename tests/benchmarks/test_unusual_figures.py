@@ -4,6 +4,7 @@ Every figure is asked of every cell, whatever its setting; what is drawn stands 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -90,7 +91,7 @@ def test_figures_of_two_trains(results: Results, expected: Expected) -> None:
               "kept-distance": 0.4 + T / 99}
     out = []
     for labels, table in ((("dead-reckoning", "robust", "ekf"), tables[0]), (("robust", "dead-reckoning"), tables[1]),
-                          (("ckf", "robust"), tables[1])):
+                          (("ckf", "robust"), tables[1]), (("robust",), tables[1])):
         rows = cell.rows[cell.rows["run"] < len(labels)].assign(estimator=lambda found, labels=labels: [
             labels[run] for run in found["run"]])
         one = replace(cell, rows=rows, table=table, styles=assign_styles([labels]),
@@ -101,6 +102,13 @@ def test_figures_of_two_trains(results: Results, expected: Expected) -> None:
     drawn = [found for one in FIGURES if "moving-block" in one.kinds for found in (
         map(one.draw, out) if one.draw else [one.draw_all(cells) for cells in (out, out[2:])] if one.draw_all else [])]
     expected("figures-trains", "\n".join(figure(canvas.svg()) if canvas else "none" for canvas in drawn))
+    track = next(one.draw for one in FIGURES if one.name == "track")
+    for draw, drawn_of in ((track, out[0]), (FIGURES[0].draw, cell)):  # a legend is as high as its lines at any width
+        for width in range(150, 400, 12):
+            canvas = draw and draw(replace(drawn_of, width=float(width)))
+            assert canvas
+            lowest = max(map(float, re.findall(r'<text [^>]*y="([\d.]+)"', canvas.svg()))) / 10
+            assert canvas.height - lowest == pytest.approx(6.0, abs=0.06)
 
 
 def test_which_settings_have_a_figure_of_their_own(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
