@@ -7,6 +7,7 @@ from __future__ import annotations
 import copy
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -59,6 +60,24 @@ def test_a_limit_of_time() -> None:
     with within(5):
         assert 4 < signal.getitimer(signal.ITIMER_REAL)[0] <= 5
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0) and signal.getsignal(signal.SIGALRM) == before
+
+
+def test_no_limit_of_time_where_there_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a thread, and on systems without the signal."""
+    done = []
+
+    def slow() -> None:
+        with within(0.001):
+            time.sleep(0.01)
+        done.append(threading.current_thread() is thread)
+
+    thread = threading.Thread(target=slow)
+    thread.start()
+    thread.join()
+    with monkeypatch.context() as patch:
+        patch.delattr(signal, "SIGALRM")
+        slow()
+    assert done == [True, False]
 
 
 def test_figures_are_written_as_what_there_is(results: Results, tmp_path: Path) -> None:

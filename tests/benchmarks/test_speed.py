@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from railstate.benchmarks import speed
 from railstate.benchmarks.running.drive import drive
+from railstate.benchmarks.running.machinery import Machinery
 from railstate.benchmarks.speed import COMPARISONS, cars, cluster, measure, metro, particles, race, robust, start
 
 from ..conftest import Command
@@ -125,6 +127,73 @@ def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPa
     assert len(set(rooms[10:])) == 1 and all(fresh == ({
         "NUMBA_CACHE_DIR": f"{room}/code", "RAILSTATE_CACHE": f"{room}/designs"} if 6 <= place < 10 else {})
         for place, (_, room, fresh) in enumerate(given))
+
+
+def test_tasks_on_a_cluster_and_here_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the first result on, the least of the repetitions after the first, as if every task counted."""
+    clusters, asked, clock = [], [], Clock()
+
+    class Local:
+        def __init__(self, **words: Any) -> None:
+            clusters.append(words)
+            self.scheduler_address = f"tcp://{words['n_workers']}"
+
+        def __enter__(self) -> Local:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            clusters.append({})
+
+    def ran(plan: Any, done: Any, machinery: Any) -> Any:
+        asked.append((plan.runs, [cell.key for cell in plan.cells], list(plan.cells[0].entries), done, machinery))
+        yield from range(3)
+        clock.readings += 1  # each repetition takes longer than the one before
+
+    monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(LocalCluster=Local))
+    monkeypatch.setattr(cluster, "run", ran)
+    monkeypatch.setattr(cluster, "perf_counter", clock)
+    lines = cluster.race(2)
+    assert clusters == [found for n in (1, 2) for found in (
+        {"n_workers": n, "threads_per_worker": 1, "dashboard_address": None}, {})]
+    assert asked == [(16 * block, ["ningbo-metro/white"], ["ekf"], {}, Machinery(1, block, address))
+                     for n in (1, 2) for block in (1, 100) for _ in range(3) for address in ("", f"tcp://{n}")]
+    assert [(line.workers, line.block) for line in lines] == [(1, 1), (1, 100), (2, 1), (2, 100)]
+    seconds = [(line.alone, line.there) for line in lines]  # by readings 7, 10, then 23, 26 .. of the clock
+    assert seconds == [pytest.approx((n / 1000 * 16 / 15, (n + 3) / 1000 * 16 / 15)) for n in (7, 23, 39, 55)]
+
+
+def test_processes_one_after_the_other_and_what_is_printed(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The least of all; with one process it is this one."""
+    given, made = [], iter((0.5, 0.25, 0.75, 0.125))
+
+    class Pool:
+        def __init__(self, workers: int, context: Any) -> None:
+            given.append((workers, context.get_start_method()))
+
+        def __enter__(self) -> Pool:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            given.append("ended")
+
+        def submit(self, function: Any, *words: Any) -> Any:
+            return SimpleNamespace(result=lambda: function(*words))
+
+    def raced(repeats: int) -> list[cluster.Line]:
+        given.append(repeats)
+        return [cluster.Line(1, 2, next(made), 1.0)]
+
+    monkeypatch.setattr(speed, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(cluster, "race", raced)
+    said = railstate("timing", "--only", "cluster", "--repeats", 7, "--processes", 3).out
+    assert given == [(1, "spawn"), 7, "ended"] * 3
+    assert said.startswith(f"cluster: {COMPARISONS['cluster']}\n")
+    assert said.splitlines()[-2].split() == ["1", "2", "15.6", "46.9", "0.25"]
+    assert race("cluster", 4)[0]["work a task [ms]"] == "7.8" and given[-1] == 4
+    for words, message in ((("--repeats", 0), "--repeats: must be at least 1"),
+                           (("--processes", 0), "--processes: must be at least 1")):
+        done = railstate("timing", *words)
+        assert done.code == 2 and message in done.err and done.out == ""
 
 
 @pytest.mark.long
