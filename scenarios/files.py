@@ -98,7 +98,7 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     mistakes: list[str] = []
     unfit: dict[str, list[str]] = {}
     refused: InputError | None = None
-    variants, configs = dict[str, dict[str, Any]](), dict[str, Any]()
+    variants, configs, without = dict[str, dict[str, Any]](), dict[str, Any](), dict[str, dict[str, Any]]()
     for variant, changes in named.items():
         if not re.fullmatch(LABEL, variant):
             mistakes.append(f"variants: \"{variant}\" is no name; allowed: letters, digits and . _ -")
@@ -119,12 +119,12 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
             for key, value in (overrides or {}).items():
                 merged = set_dotted(merged, key, value)
         except InputError as error:  # such as faults of a name that this variant's have not
-            refused, unfit[variant] = refused or error, [str(error)]
+            refused, unfit[variant], without[variant] = refused or error, [str(error)], plain
             continue
         merged = located(merged, Path.cwd())
         found, configs[variant] = validate(merged, where)
         if found and overrides and not validate(plain, where)[0]:
-            unfit[variant] = found
+            unfit[variant], without[variant] = found, plain
             continue
         prefix = f"variants.{variant}: " if changes else ""
         mistakes += [m for m in (f if f in mistakes else prefix + f for f in found) if m not in mistakes]
@@ -132,7 +132,8 @@ def parse(table: dict[str, Any], where: str, overrides: Mapping[str, Any] | None
     if refused and (not variants or only in unfit):
         raise refused
     touched = {key.partition(".")[0] for key in overrides or ()}
-    mistakes += _strays(variants, configs, layers[-1].table, touched) if not mistakes else []
+    if variants and not mistakes:
+        mistakes += _strays({**variants, **without}, configs, layers[-1].table, touched)
     if not variants or only in unfit:
         usual = {variant: found for variant, found in unfit.items() if named[variant].get("default", True)}
         mistakes += [f"variants.{variant}: {line}" if named[variant] else line
@@ -203,9 +204,9 @@ def file_given(setting: Setting[Any]) -> bool:
 
 def _strays(variants: Mapping[str, dict[str, Any]], configs: Mapping[str, Any], own: Mapping[str, Any],
             touched: Collection[str]) -> list[str]:
-    """Paths of [origin] and `fitted` that lead to nothing in any of the variants; not those into a table overridden,
-    nor those of a base, of which there may be less left. configs: what is checked already; own: the file's own
-    table."""
+    """Paths of [origin] and `fitted` that lead to nothing in any of the variants (those that cannot take the overrides
+    as they are without); not those into a table overridden, nor those of a base, of which there may be less left.
+    configs: what is checked already; own: the file's own table."""
     tables = [own, *own.get("variants", {}).values()]
     left = [(key, path) for key in ("origin", "fitted") for path in sorted(
         {path for table in tables for path in table.get(key, ())}) if path.partition(".")[0] not in touched]
@@ -217,7 +218,7 @@ def _strays(variants: Mapping[str, dict[str, Any]], configs: Mapping[str, Any], 
         except ValidationError:  # of a variant that nobody asked for
             return []
         left = [(key, path) for key, path in left if not _names_a_key(path, config)]
-    return [f"{key}.{path}: names no key of this scenario" for key, path in left] if variants else []
+    return [f"{key}.{path}: names no key of this scenario" for key, path in left]
 
 
 def _names_a_key(path: str, config: Any) -> bool:

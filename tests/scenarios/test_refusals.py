@@ -24,6 +24,7 @@ ningbo-metro plant.line.stops=[0.0,0.0] plant.line.stops=[100.0,50.0] plant.line
   plant.train.max_speed=1.0 plant.controller.effort=[0.1,0.9] plant.controller.effort=[-1.0,0.0]
   plant.controller.overrun=0.0 disturbance.period=[60.0,15.0] disturbance.period=[15.0,15.0]
   disturbance.amplitude=[0.5,1.1] disturbance.amplitude=[1.0,1.0] disturbance.amplitude=[0.9,0.5]
+  sensors.use=["accelerometer"] sensors.use=["speed","accelerometer"] sensors.use=["speed","balise"]
   disturbance.w_bar=0.0 channel={"kind":"delay","steps":[3,1]} channel={"kind":"delay","steps":[1,1]}
   faults=[{"kind":"jump","sensors":["position"],"size":3.0,"truth":True}]
   faults=[{"kind":"jump","sensors":["position"],"size":3.0,"truth":False}]
@@ -37,8 +38,16 @@ odometry plant.balises.positions=[10.0,12.0] plant.balises.positions=[10.0,11.9]
   plant.driver.courage=[1.0,0.9] plant.driver.dwell=[20.0,20.0] plant.tunnels=[[5.0,5.0]]
   plant.tunnels=[[5.0,9.0],[8.0,10.0]] plant.adhesion.friction=[0.0,0.1] plant.adhesion.friction=[0.1,0.05]
   plant.adhesion.friction=[0.05,0.05] plant.adhesion.strength=[-0.1,0.3] plant.line.gradients=[[0.0,0.15]]
-  sensors.use=["sonar"]
-cbtc-csma plant.cars=3 plant.masses=[1.0] plant.commands=[[1,0.5]] channel.trains=[5,2] channel.trains=[2,2]
+  sensors.use=["sonar"] requirements=[{"name":"a","form":"speed","points":[[0.0,1.0],[0.0,2.0]]}]
+  requirements=[{"name":"a","form":"speed","points":[[0.0,1.0],[9.0,0.0]]}]
+  requirements=[{"name":"a","form":"speed","points":[[0.0,1.0],[9.0,0.5]]}]
+  requirements=[{"name":"a","form":"stop","within":1.0,"quantity":"scale"}]
+  requirements=[{"name":"a","form":"stop","within":1.0},{"name":"a","form":"stop","within":2.0}]
+cbtc-csma requirements=[{"name":"a","form":"allowance","constant":1.0,"share":0.1}]
+  plant.commands=[{"start":1,"end":1.0,"middle":1.0}]
+  plant.commands=[{"start":0,"end":1.0,"middle":1.0},{"start":0,"end":1.0,"middle":1.0}]
+  plant.commands=[{"start":0,"end":1,"middle":1},{"start":5,"end":1,"middle":1},{"start":4,"end":1,"middle":1}]
+  plant.cars=3 plant.masses=[1.0] plant.commands=[[1,0.5]] channel.trains=[5,2] channel.trains=[2,2]
   channel.traffic=constant headway.speeds=[65.0,65.5] channel={"kind":"try-once-discard","nodes":[[0],[0]]}
   channel={"kind":"random-access","nodes":[[0],[1]],"p":[0.5,0.6]}
   channel={"kind":"random-access","nodes":[[0]],"p":[0.5,0.5]}
@@ -58,7 +67,14 @@ moving-block plant.trains.stops=[[0,99],[0]] plant.trains.stops=[[1,0],[0]] plan
 braking-rate plant.target=[[0.0,1.0],[0.0,2.0]] knowledge.grid=[1.0,0.5,0.7] knowledge.grid=[1.0,1.0]
   knowledge.grid=[1.0,0.5] plant.rate_drift=-1.0 plant.target=[[1.0,1.0],[0.0,2.0]] time.steps=1 score.skip=150.0
   score.skip=149.0
-rap-example-1 plant.x0=[0.0] plant.A=[[1.0]] plant.A=[[1.0,2.0],[3.0]] plant.A=[[1.0,"sin(k)"],[0.0,"1/k"]]
+rap-example-1 knowledge.p=[0.5,0.5] knowledge.p=[0.5,0.6] plant.P0=[["k",0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]
+  plant.A=[] plant.A=[1.0,0.0]
+  plant.A=[[[1.0,0.0],[0.0,1.0]],[[1.0]]] plant.A=[[1.0,"x"],[0.0,1.0]] plant.A=[[1.0,True],[0.0,1.0]]
+  plant.R=[[1.0,0.0],[0.0,1e-12]] plant.R=[[1.0,0.0],[0.0,1e-9]] plant.Q=[[-1e-12,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]
+  plant.Q=[[-1e-9,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]] plant.P0=[[0.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]
+  plant.P0=[[1.0,2e-10,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]] plant.P0=[[1.0,5e-11,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]
+  plant.states=["a","a"]
+  plant.units=["m"] plant.x0=[0.0] plant.A=[[1.0]] plant.A=[[1.0,2.0],[3.0]] plant.A=[[1.0,"sin(k)"],[0.0,"1/k"]]
   plant.A=[[1.0,"open(k)"],[0.0,1.0]] plant.A=[[1.0,"9**9**9"],[0.0,1.0]] plant.A=[["",1.0],[0.0,1.0]]
   plant.P0=[[[1.0]],[[1.0]]] plant.Q=[[-1.0]] plant.R=[[0.0,0.0],[0.0,0.0]] plant.R=[[1.0,0.5],[0.4,1.0]]
   plant.states=["a","a","b"] plant.A=[[1.0,None],[0.0,1.0]] channel={"kind":"bernoulli","p":0.0}
