@@ -59,8 +59,9 @@ def unusual(cell: CellResults) -> list[CellResults]:
     rows = rows.assign(**{name: rows[name] * factor for name in rows.columns if name.startswith(("rmse", "mae"))}, **{
         "half-width:near:m": factor * (1 + rows["run"]), "inside:near:1": 1 - 0.001 * factor,
         "begin:outage:s": rows["run"] % 4 * 10.0 + 5, "rmse:position-outage-end:m": (1 + rows["run"]) * factor})
-    some = replace(cell, rows=rows, kept=kept(few[1:], names), curves=curves(few, (*names, "nis"), False), width=400.0,
-                   table={"requirements": asked[1:], "estimators": {}}, only=names[-1:])
+    lines = tuple({**line, "value": 1 / line["value"]} if line["kind"] == "error" else line for line in cell.lines)
+    some = replace(cell, lines=lines, rows=rows, kept=kept(few[1:], names), curves=curves(few, (*names, "nis"), False),
+                   width=400.0, table={"requirements": asked[1:], "estimators": {}}, only=names[-1:])
     none = replace(cell, kept={("", "received"): Kept(T, 0 * T, T, T)}, curves={}, table={"estimators": {}})
     return [wide, some, none, replace(wide, rows=cell.rows[cell.rows["estimator"].isin(labels[:CROWD])])]
 
