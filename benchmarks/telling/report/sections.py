@@ -265,7 +265,7 @@ def fault_table(cells: Sequence[CellResults]) -> Table | None:
             if line is None or not drawn(line):
                 entries.append(Entry(Markup('<span class="dot" aria-hidden="true">·</span>')))
                 continue
-            said = {"lost": f"{line['lost']} lost", "oracle": ""}.get(drawn(line)) or ratio_of(line)
+            said = {"lost": f"{line['lost']} lost", "oracle": ""}.get(drawn(line), ratio_of(line))
             if drawn(line) == "lost" or line["ratio"] > BREAKDOWN or label in locked:
                 fell.add(label)
             words = [f"{percent(locked[label])} locked"] if label in locked else []
