@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import pyarrow as pa
 import pyproj
 import pytest
 from railstate.scenarios.recorded import places, wheels
-from railstate.scenarios.recorded.readers import delimited, files, gpx, mcap, mf4, parquet, rosbag
+from railstate.scenarios.recorded.readers import delimited, files, gpx, mcap, mf4, parquet, reading, rosbag
 from railstate.scenarios.recorded.readers.gpx import read_gpx
 from railstate.scenarios.recorded.readers.messages import Series
 from railstate.scenarios.recorded.readers.table import Table, joined
@@ -130,6 +131,57 @@ def test_what_a_package_says_of_a_file_is_passed_on(
                  rosbag: rosbag.read_rosbag}[package]
     with refused(f"{path}: {said}{words[:6]}"):
         read(path)
+
+
+def test_what_is_lacking_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> Any:
+        raise ImportError("no such module")
+
+    path = tmp_path / "a.mf4"
+    path.write_bytes(b"MDF     4.10")
+    monkeypatch.setattr(reading, "import_module", missing)
+    with refused("such a recording needs asammdf (no such module): pip install 'railstate[mf4]'"):
+        reading.read(str(path))
+    path.rename(tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
+    with refused("such a recording needs mcap, mcap-ros2-support (no such module): "
+                 "pip install 'railstate[recordings]'"):
+        reading.read(str(tmp_path / "a.mcap"))
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    path.write_bytes(b"\x28\xb5\x2f\xfd")
+    with refused(f"{path}: is compressed by zstd: pip install zstandard, or unpack it"):
+        files.content(path)
+
+
+def test_channels_of_a_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers alone, those of one name by their number, stamps to the nanosecond; none at all is said."""
+    class Channel:
+        def __init__(self, name: str, samples: Any, unit: str = "") -> None:
+            self.name, self.samples, self.unit = name, np.array(samples), unit
+            self.timestamps = np.arange(len(self.samples)) + 1.4e-10
+
+    channels = [Channel("a", [[1.0, 2.0]]), Channel("b", ["x"]), Channel("c", np.zeros(0))]
+
+    class Measured:
+        def __init__(self, path: str) -> None:
+            assert path == str(tmp_path)
+
+        def __enter__(self) -> Measured:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def iter_channels(self, skip_master: bool) -> list[Channel]:
+            assert skip_master
+            return channels
+
+    monkeypatch.setattr(mf4, "MDF", Measured)
+    with refused(f"{tmp_path}: holds no numeric channel"):
+        mf4.read_mf4(tmp_path)
+    channels += [Channel("v", [1, 2], "m/s"), Channel("s", [0.5]), Channel("v", np.array([7], np.uint8), "km/h")]
+    found = mf4.read_mf4(tmp_path)
+    assert found.columns.to_pydict() == {"time [s]": [0.0, 1.0], "v": [1.0, 2.0], "s": [0.5, None], "v #2": [7.0, None]}
+    assert (found.said, found.units) == ("MF4", {"v": "m/s", "v #2": "km/h"})
 
 
 def test_files_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
