@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from railstate.scenarios.augmented import Extra, augmented
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval
-from railstate.scenarios.model import Linear, linear_model
+from railstate.scenarios.model import Bounds, Linear, linear_model
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.schema import Augment
 
@@ -81,6 +82,41 @@ def test_what_an_extra_state_costs_a_model():
     assert_array_equal(bounded.w_bar, np.full(6, 0.14))
     assert augmented(base, [moving]).process_covariance(np.ones((3, 2)), np.zeros((1, 2)), whole(0)).shape[0] == 3
 
+
+@pytest.mark.parametrize(("instead", "left"), [(0.0, [0, 1]), (0.75, [0, 1]), (1.0, [])])
+def test_bounds_of_what_drives_extra_states(instead, left):
+    """Columns of the base's forces that are left, smaller by what is replaced, then one for each state that moves; what
+    is said of the base's own states is asked of these."""
+    seen, G = [], np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    bounds = Bounds(G, np.array([0.2, 0.4]), np.array([7.0, 8.0]), np.array([[1.0], [2.0], [3.0]]),
+                    np.array([[4.0, 5.0, 6.0]]), lambda x, u, Pi: seen.append((x, u, Pi)) or np.ones(2),
+                    lambda interval: interval.length * np.stack([G, 2 * G], axis=2))
+    base = replace(linear(2), bounds=bounds)
+    extras = (replace(EXTRAS[0], instead=instead, bound=0.5), EXTRAS[2], EXTRAS[1])
+    found = augmented(base, extras)
+    assert found.bounds is not None and augmented(base, EXTRAS).bounds is None  # the first has no bound
+    drive = np.zeros((6, 2))
+    drive[3, 0], drive[5, 1] = 1.0, 1.0
+    assert_array_equal(found.bounds.G, np.hstack([np.vstack([G[:, left], np.zeros((3, len(left)))]), drive]))
+    assert_allclose(found.bounds.w_bar, [*((1 - instead) ** 0.5 * np.array([0.2, 0.4])[left]), 0.5, 0.3])
+    assert_array_equal(found.bounds.v_bar, [7.0, 8.0])
+    assert_array_equal(found.bounds.M, [[1], [2], [3], [0], [0], [0]])
+    assert_array_equal(found.bounds.N, [[4, 5, 6, 0, 0, 0]])
+    half = found.bounds.part(Interval(1, 0.0, 0.5, 0.5))
+    for run in range(2):
+        own = np.vstack([0.5 * (run + 1) * G[:, left], np.zeros((3, len(left)))])
+        assert_array_equal(half[:, :, run], np.hstack([own, drive]))
+    x, u, Pi = np.arange(12.0).reshape(6, 2), np.ones((1, 2)), np.arange(72.0).reshape(6, 6, 2)
+    assert_array_equal(found.bounds.kappa(x, u, Pi), [1, 1])
+    for mine, theirs in zip(seen[0], (x[:3], u, Pi[:3, :3]), strict=True):
+        assert_array_equal(mine, theirs)
+    assert seen[0][2].flags.c_contiguous
+    assert_array_equal(found.performance, np.hstack([np.eye(3), np.zeros((3, 3))]))
+    assert (found.appended, found.own) == (3, 3)
+    assert (found.inclusion, found.densities, found.input_jacobian) == (None,) * 3
+    plain = augmented(replace(base, bounds=Bounds(G, np.ones(2), np.ones(2)), performance=None), extras)
+    assert plain.bounds is not None and plain.performance is None
+    assert (plain.bounds.M, plain.bounds.N, plain.bounds.kappa, plain.bounds.part) == (None,) * 4
 
 
 def test_the_scale_of_an_encoder_against_differences():
