@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
+import gc
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -127,3 +130,104 @@ def test_old_versions_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert machine_code.place("kernel", "now") == tmp_path / "railstate" / "kernel-now"
     names = sorted(path.name for path in (tmp_path / "railstate").iterdir())
     assert names == ["another-00", *(f"kernel-{number}" for number in range(12, 20)), "kernel-now"]
+
+
+def test_what_a_module_is_compiled_from(tmp_path: Path) -> None:
+    """Relative imports at the top, however they are written, and what these import in turn; each once."""
+    inner = tmp_path / "suite" / "inner"
+    inner.mkdir(parents=True)
+    files = {"inner/top": "from . import beside, missing\nfrom .beside import a\nfrom ..other import (\n    b,\n    deep,\n"
+                          ")\nimport os\n    from .hidden import c\n", "inner/beside": "from .top import d\n",
+             "inner/hidden": "", "other/__init__": "from .deep import b\n", "other/deep": "from ..far.away import e\n",
+             "far/away": "", "far/__init__": "", "inner/__init__": ""}
+    for name, text in files.items():
+        path = tmp_path / "suite" / f"{name}.py"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    found = [str(path.relative_to(tmp_path / "suite")) for path in machine_code.closure(inner / "top.py")]
+    assert found[0] == "inner/top.py" and sorted(found) == [
+        "far/away.py", "inner/__init__.py", "inner/beside.py", "inner/top.py", "other/__init__.py", "other/deep.py"]
+    at = machine_code.__file__
+    kernels = Path(at).parents[1] / "estimators" / "kernels"
+    under = machine_code.closure(kernels / "riccati.py")
+    assert Path(at) not in under and kernels / "factors.py" in under
+
+
+def test_one_process_at_a_time_has_a_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = (machine_code._Lock(tmp_path / "kernel") for _ in range(2))
+
+    def free() -> bool:
+        fd = os.open(tmp_path / "kernel.lock", os.O_RDWR)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        finally:
+            os.close(fd)
+        return True
+
+    one.__enter__()
+    held = one._file
+    one.__enter__()  # in itself: nobody waits
+    assert one._file == held >= 0 and not free()
+    assert (tmp_path / "kernel.lock").stat().st_mode & 0o777 == 0o600
+    monkeypatch.setattr(machine_code, "PATIENCE", 0.05)
+    other.__enter__()  # too long: goes on without
+    other.__exit__()
+    assert not free()
+    one.__exit__()
+    assert free() and (one._file, other._file) == (-1, -1)
+    one.__exit__()
+    for nowhere in (None, tmp_path / "none" / "kernel"):
+        with machine_code._Lock(nowhere) as nothing:
+            assert nothing is None
+
+
+class Kept:
+    """A cache in numba's form."""
+
+    def __init__(self, *found: str | None) -> None:
+        self.found, self.saved = list(found), list[tuple[str, str]]()
+
+    def load_overload(self, signature: str, target: str) -> str | None:
+        return self.found.pop(0)
+
+    def save_overload(self, signature: str, data: str) -> None:
+        self.saved.append((signature, data))
+        if data == "bad":
+            raise OSError
+
+
+@pytest.mark.parametrize(("found", "locked", "told"), [
+    (("code",), False, 0), ((None, "code"), False, 0), ((None, None), True, 1)])
+def test_who_finds_nothing_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: tuple[str | None, ...],
+                                    locked: bool, told: int) -> None:
+    said = list[int]()
+    monkeypatch.setattr(machine_code, "_tell", lambda: said.append(1))
+    shared = machine_code._Shared(kept := Kept(*found), tmp_path / "kernel")
+    assert shared.load_overload("f8", "cpu") == found[-1] and not kept.found and shared.found == []
+    assert (shared._lock._file >= 0) == locked and len(said) == told
+    for data in ("good", "bad"):
+        with pytest.raises(OSError) if data == "bad" else nullcontext():
+            shared.save_overload("f8", data)
+        assert shared._lock._file == -1
+        shared._lock.__enter__()
+    shared._lock.__exit__()
+    assert kept.saved == [("f8", "good"), ("f8", "bad")]
+
+
+def test_nothing_is_collected_while_a_kernel_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = list[bool]()
+    monkeypatch.setattr(machine_code.CPUDispatcher, "compile", lambda self, sig: seen.append(gc.isenabled()) or 1 / sig)
+    kernel = machine_code.njit()(lambda x: x)
+    assert gc.isenabled() and kernel.compile(2) == 0.5 and gc.isenabled()
+    with pytest.raises(ZeroDivisionError):
+        kernel.compile(0)
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        kernel.compile(2)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+    assert seen == [False] * 3
