@@ -136,9 +136,10 @@ def test_what_a_module_is_compiled_from(tmp_path: Path) -> None:
     """Relative imports at the top, however they are written, and what these import in turn; each once."""
     inner = tmp_path / "suite" / "inner"
     inner.mkdir(parents=True)
-    files = {"inner/top": "from . import beside, missing\nfrom .beside import a\nfrom ..other import (\n    b,\n    deep,\n"
-                          ")\nimport os\n    from .hidden import c\n", "inner/beside": "from .top import d\n",
-             "inner/hidden": "", "other/__init__": "from .deep import b\n", "other/deep": "from ..far.away import e\n",
+    files = {"inner/top": "from . import beside, missing\nfrom .beside import a\nfrom ..other import (\n    b,\n"
+                          "    deep,\n)\nimport os\n    from .hidden import c\n",
+             "inner/beside": "from .top import d\n", "inner/hidden": "",
+             "other/__init__": "from .deep import b\n", "other/deep": "from ..far.away import e\n",
              "far/away": "", "far/__init__": "", "inner/__init__": ""}
     for name, text in files.items():
         path = tmp_path / "suite" / f"{name}.py"
