@@ -5,14 +5,18 @@ Times come from scripts, so that every number of timing.csv is known."""
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import joblib
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from railstate.benchmarks.isolation.process import Ended
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.running import latency
 from railstate.benchmarks.running.machinery import SHARE, Machinery, machinery
@@ -75,6 +79,50 @@ def test_what_timing_csv_says(monkeypatch: pytest.MonkeyPatch) -> None:
         assert line["sampling_period_s"] == {"rap-example-1": 1.0, "cbtc-csma": 0.1}[line["scenario"]]
     assert latency.timing_table(replace(plan, cells=()), pd.DataFrame(), Machinery()).empty
     assert latency._throughput(pd.DataFrame({"seconds": [1.0]})) == {}
+
+
+def test_who_measures_what(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few estimators here, more by as many processes as there are jobs, in their order; a plug-in in a process of its
+    own, where it ever finished a run."""
+    pairs: list[Any] = [(f"cell {place}", f"label {place}") for place in range(9)]
+    monkeypatch.setattr(latency, "measure", lambda *given: (given, []))
+    begun = []
+
+    class Parallel:
+        def __init__(self, **words: Any) -> None:
+            begun.append(words)
+
+        def __call__(self, calls: Any) -> Any:
+            return (function(*given) for function, given, _ in calls)
+
+    monkeypatch.setattr(joblib, "Parallel", Parallel)
+    for some, jobs, parallel in ((pairs, 1, False), (pairs[:8], 2, False), (pairs, 2, True)):
+        begun.clear()
+        assert [given for given, _ in latency._ours(some, 5, jobs)] == [(*pair, 5) for pair in some]
+        assert begun == [{"n_jobs": 2, "backend": "loky", "return_as": "generator",
+                          "pre_dispatch": "2*n_jobs"}] * parallel
+    plan = make_plan(["rap-example-1/corrected"], only=["kalman"], seed=7)
+    cell, asked = plan.cells[0], []
+
+    def apart(answer: Any) -> Any:
+        @contextmanager
+        def process(plugin: str, timeout: float, memory: int) -> Iterator[Any]:
+            asked.append((plugin, timeout, memory))
+            yield SimpleNamespace(call=lambda *given: answer if given == (latency.measure, cell, "kalman", 7) else None)
+        return SimpleNamespace(catalogue=SimpleNamespace(process=process), seed=7)
+
+    how, told = Machinery(memory=9, timeout=3.0), rows(kalman=1.0, other=1.0)
+    nothing = (pytest.approx(np.nan, nan_ok=True), [])
+    for answer, found in (([0.5, [1, 2.5]], (0.5, [1.0, 2.5])), (Ended(Status.timeout, "hung"), nothing),
+                          ([None, []], nothing), ([0.5, ["x"]], nothing)):
+        for status in ("ok", "diverged", "failed"):
+            one = told.assign(status=np.where(told["estimator"] == "kalman", status, "ok"))
+            measured = latency._measured(apart(answer), cell, "kalman", one, how)
+            assert measured == (nothing if status == "failed" else found)
+    assert asked == [("kalman", 3.0, 9)] * 8
+    for name in ("scenario", "variant"):
+        assert latency._measured(apart([0.5, []]), cell, "kalman", told.assign(**{name: "another"}), how) == nothing
+    assert len(asked) == 8
 
 
 @pytest.mark.parametrize(("passes", "kept"), [
