@@ -99,9 +99,9 @@ def _unfit(error: BaseException) -> str:
 
 def load_file(path: str) -> dict[str, type[Estimator]]:
     """Register the estimator classes of a loose file. Raises InputError if it does not import or holds none."""
-    file = Path(os.path.realpath(path))
-    if not os.path.isfile(file):  # also of names that no file can have
+    if not os.path.isfile(path):  # also of names that no file can have
         raise InputError(f"{path}: no such file; --plugin takes a Python file with an Estimator class")
+    file = Path(os.path.realpath(path))
     if file.suffix == GIVEN:
         return _load_given(file)
     # by content too: what was changed in the meantime is another module
