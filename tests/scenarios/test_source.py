@@ -66,7 +66,8 @@ def meaning(text: str) -> list[str]:
 
 @pytest.mark.parametrize(("one", "other", "same"), [
     ("x = 1", "x = (1)  # why", True), ("x = 1", "x = 2", False), ("x = 1", "x = 1.0", False),
-    ("x = 1", "x = True", False), ("x = 1", "y = 1", False), ('"""Doc."""\nx = 1', "x = 1", True), ('x = 1\n"text"', "x = 1", False),
+    ("x = 1", "x = True", False), ("x = 1", "y = 1", False),
+    ('"""Doc."""\nx = 1', "x = 1", True), ('x = 1\n"text"', "x = 1", False),
     ('def f():\n    "doc"\n    return 1', "def f():\n    return 1", True),
     ('async def f():\n    "doc"\n    return 1', 'async def f():\n    "other"\n    return 1', True),
     ('class A:\n    "doc"\n    x = 1', 'class A:\n    x = 1', True), ('if x:\n    "doc"', 'if x:\n    "other"', False),
