@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from railstate.estimators.registry import estimators
 from railstate.estimators.stochastic_m import select
 
@@ -103,3 +104,32 @@ def test_parameters_that_need_another_one(expected: Callable[[str, str], None]) 
                         refused.append(other)
                 said += [f"{name}.{key} = {option}: not {' '.join(refused)}"] if refused else []
     expected("parameters-together", "\n".join(said))
+
+
+GATED = "level and after are used with a gate only: name its sensors, or leave them out"
+JULIER = 'points = "julier" has no alpha and beta: leave them out, or use points = "scaled"'
+
+
+@pytest.mark.parametrize(("name", "parameters", "said"), [
+    ("imm-models", {"level": 0.9}, GATED), ("imm-models", {"after": 3.0}, GATED),
+    ("imm-models", {"level": 0.9, "gate": ["gnss"]}, ""), ("imm-models", {"stay": 0.5}, ""),
+    ("ukf", {"points": "julier", "alpha": 0.5}, JULIER), ("ukf", {"points": "julier", "beta": 2.0}, JULIER),
+    ("ukf", {"points": "julier", "kappa": 1.0}, ""), ("ukf", {"alpha": 0.5, "beta": 2.0}, ""),
+    ("gate", {"memory": 5, "needed": 6}, "needed = 6 cannot be more than memory = 5"),
+    ("gate", {"memory": 5, "needed": 5}, ""), ("gate", {"memory": 13}, "needed = 14 cannot be more than memory = 13"),
+    ("gate", {"reopen": "time", "sensors": ["a"], "together": ["a", "b"]},
+     'together must be among sensors = ["a"]: others are never rejected'),
+    ("gate", {"reopen": "time", "sensors": ["a", "b"], "together": ["b"]}, ""),
+    ("gate", {"reopen": "time", "together": ["b"]}, ""),
+    ("gate", {"after": 3.0}, 'after is used with reopen = "time" only: leave it out'),
+    ("imm", {"transition": "uniform", "stay": 0.9}, 'stay is used with transition = "tridiagonal" only: leave it out'),
+    ("filterpy-ukf", {"redraw": False}, "redraw = false: filterpy always redraws the points; only ukf can reuse them"),
+    ("filterpy-ukf", {"redraw": True}, "")])
+def test_parameters_that_do_not_go_together(name: str, parameters: dict[str, Any], said: str) -> None:
+    cls = estimators()[name].Parameters
+    if not said:
+        cls.model_validate(parameters)
+        return
+    with pytest.raises(ValidationError) as caught:
+        cls.model_validate(parameters)
+    assert [error["msg"] for error in caught.value.errors()] == [f"Value error, {said}"]
