@@ -62,9 +62,7 @@ class Braking(Setting[BrakingConfig]):
         x, moving = start, np.ones(runs, dtype=bool)
         for k in range(steps):
             moved = self.plant.step(x, self.rates[k], self.targets[k])
-            if entry[0]:
-                moved[0] += entry[0] * noise[k]
-            moved[1] += noise[k]
+            moved += entry[:, None] * noise[k]
             active[k] = moving
             if config.plant.until_standstill:
                 stops = moved[1] <= 0
