@@ -11,11 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from railstate.benchmarks.planning.plan import make_plan
+from railstate.benchmarks.scoring.columns import PHASES
 from railstate.benchmarks.telling.figures import catalogue
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, Figure, of_scenario
 from railstate.benchmarks.telling.figures.data import CROWD, CellResults, Curve, Kept, Results, assign_styles
 
 from ..expected import figure
+from .test_worded import line
 
 Expected = Callable[[str, str], None]
 OF_ROWS = ("errors-per-run", "accuracy-latency", "certified", "headway")
@@ -51,15 +53,18 @@ def unusual(cell: CellResults) -> list[CellResults]:
         ("reference-error", 0.01 * T))}
     asked = [{"form": "allowance", "constant": 5.0, "share": 0.05},
              {"form": "confidence", "name": "near", "k": 2.0, "accept": 0.9, "quantity": names[0]}]
-    wide = replace(cell, kept={**kept(labels, (*names, "diversity")), **extras}, curves=curves(
-        labels, (*names, "nees", "nis"), True), table={"requirements": asked, "estimators": {}})
+    parts = tuple(line(label, 10.0 ** (number % 3) * (place + 1.5), kind="value", quantity=f"{name}-{word}")
+                  for name, words in ((names[0], ("1", "2")), (names[-1], PHASES)) for place, word in enumerate(words)
+                  for number, label in enumerate(labels) if place != 1 or number)
+    wide = replace(cell, lines=(*cell.lines, *parts), table={"requirements": asked, "estimators": {}}, kept={
+        **kept(labels, (*names, "diversity")), **extras}, curves=curves(labels, (*names, "nees", "nis"), True))
     few = labels[:3]
     rows = cell.rows[cell.rows["estimator"].isin(few)]
     factor = rows["estimator"].map({label: 10.0**place for place, label in enumerate(few)})
     rows = rows.assign(**{name: rows[name] * factor for name in rows.columns if name.startswith(("rmse", "mae"))}, **{
         "half-width:near:m": factor * (1 + rows["run"]), "inside:near:1": 1 - 0.001 * factor,
         "begin:outage:s": rows["run"] % 4 * 10.0 + 5, "rmse:position-outage-end:m": (1 + rows["run"]) * factor})
-    lines = tuple({**line, "value": 1 / line["value"]} if line["kind"] == "error" else line for line in cell.lines)
+    lines = tuple({**one, "value": 1 / one["value"]} if one["kind"] == "error" else one for one in cell.lines)
     some = replace(cell, lines=lines, rows=rows, kept=kept(few[1:], names), curves=curves(few, (*names, "nis"), False),
                    width=400.0, table={"requirements": asked[1:], "estimators": {}}, only=names[-1:])
     none = replace(cell, kept={("", "received"): Kept(T, 0 * T, T, T)}, curves={}, table={"estimators": {}})
