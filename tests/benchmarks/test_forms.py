@@ -1,5 +1,5 @@
-"""Quadratic forms of claimed matrices taken up step by step, beside loops of the test's own: ties with limits, runs that
-have ended or failed, forms and diagonals that are no numbers or negative, elements that a set lacks."""
+"""Quadratic forms of claimed matrices taken up step by step, beside loops of the test's own: ties with limits, runs
+that have ended or failed, forms and diagonals that are no numbers or negative, elements that a set lacks."""
 
 from __future__ import annotations
 
