@@ -214,6 +214,17 @@ def test_shares(rng: np.random.Generator) -> None:
     assert np.isnan(st.share([]).value)
 
 
+@pytest.mark.parametrize("n", [1, 2, 20, 37, 100])
+@pytest.mark.parametrize("coarse", [False, True])
+def test_signed_rank_is_that_of_scipy(n: int, coarse: bool) -> None:
+    gaps = np.random.default_rng(n).normal(0.2, 1.0, n)
+    gaps = np.round(4 * gaps) / 4 + (n < 3) if coarse else gaps  # ties and zeros
+    expected = stats.wilcoxon(gaps, method="asymptotic").pvalue
+    assert st.signed_rank([*gaps, np.nan]) == pytest.approx(expected, rel=1e-12)
+    assert st.signed_rank(-gaps) == pytest.approx(expected, rel=1e-12)
+    assert st.signed_rank(0 * gaps) == 1.0
+
+
 def test_pooled_rmse_of_few_runs() -> None:
     assert st.pooled_rmse([3.0, 4.0, np.nan]) == pytest.approx((12.5**0.5, 3.5 / (2 * 12.5**0.5)))
     assert st.pooled_rmse([0.0, 0.0]) == (0.0, 0.0)
