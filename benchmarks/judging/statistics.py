@@ -133,9 +133,10 @@ def share(per_run: ArrayLike) -> Share:
 
 
 def signed_rank(gaps: ArrayLike) -> float:
-    """The p value of Wilcoxon's signed-rank test that `gaps` (n,) lie about 0, by its normal approximation (from some 20
-    on), zeros left out, ties at their mean rank: scipy.stats.wilcoxon's "asymptotic", whose import would take longer
-    than all else that is judged. 1 where all are zero."""
+    """The p value of Wilcoxon's signed-rank test that `gaps` (n,) lie about 0; 1 where all are zero.
+
+    By its normal approximation (from some 20 on), zeros left out, ties at their mean rank, as scipy.stats.wilcoxon's
+    "asymptotic": to import that would take longer than all else that is judged."""
     v = finite(gaps)
     v = v[v != 0]
     if not v.size:

@@ -101,16 +101,17 @@ class MovingBlock(Setting[MovingBlockConfig]):
         mean gap (m, time mean of the true gap), least gap (m), violations (1 where the true gap was ever under d_M),
         mean lap (s, over both trains; NaN where a run ran out of steps, which `unfinished` counts)."""
         trains = cast(TwoTrains, world)
-        own = np.sqrt(trains.squared / np.maximum(trains.counted, 1))
+        records = trains.records
+        own = np.sqrt(records.squared / np.maximum(records.counted, 1))
         laps = (trains.lap_times[0] + trains.lap_times[1]) / (2 * self.config.plant.trains.laps)
         return {
             ("rmse-per-train", "x", "m"): (own[0] + own[2]) / 2,
             ("rmse-per-train", "y", "m"): (own[1] + own[3]) / 2,
             **{("rmse-per-train", f"{axis}-{train}", "m"): own[2 * t + i]
                for t, train in enumerate("ab") for i, axis in enumerate("xy")},
-            ("mean", "gap", "m"): trains.gap_sum / trains.driven,
-            ("min", "gap", "m"): trains.gap_least,
-            ("violations", "gap", "1"): (trains.gap_least < self.config.plant.control.safe_gap - 1e-9).astype(float),
+            ("mean", "gap", "m"): records.gap_sum / records.driven,
+            ("min", "gap", "m"): records.gap_least,
+            ("violations", "gap", "1"): (records.gap_least < self.config.plant.control.safe_gap - 1e-9).astype(float),
             ("mean", "lap", "s"): laps,
             ("unfinished", "lap", "1"): np.isnan(laps).astype(float),
         }

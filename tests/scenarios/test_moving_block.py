@@ -116,7 +116,7 @@ QUIET = {"sensors.start_sd": 0.0, "sensors.encoder.bias_mean": 0.0, "sensors.enc
 def test_without_noise_the_loop_is_the_plain_one(law: str, fixed: bool) -> None:
     _, world = run(f"law-{law}-fixed-block" if fixed else f"law-{law}", "truth", (0,), QUIET)
     way, done = plain_loop(law, fixed)
-    assert len(way) == world.driven[0]
+    assert len(way) == world.records.driven[0]
     mine = np.stack([world.extra["s-a"][:len(way), 0], world.extra["s-b"][:len(way), 0]], axis=1)
     np.testing.assert_allclose(mine * 100, way, rtol=0, atol=1e-6)
     np.testing.assert_allclose(world.lap_times[:, 0], done, atol=1e-9)
