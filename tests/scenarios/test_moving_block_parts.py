@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from railstate.scenarios.errors import InputError
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Interval, untold
 from railstate.scenarios.moving_block.control import (
     Control,
     authority_end,
@@ -233,3 +234,49 @@ def test_a_train_that_goes_on_and_on_stays_at_the_last_stop_there_is() -> None:
     for k in range(200):
         mean = world.step(k, mean).truth
     np.testing.assert_allclose(np.nanmax(world.extra["s-a"], axis=0), world.stops[0, 1], atol=5e-3)
+
+
+def test_what_bounds_every_estimator_on_the_ring() -> None:
+    """The moments of `matched`, worked out from the encoder's and the tags' own numbers."""
+    encoder = {"bias_mean": 0.25, "bias_sd": 0.1, "noise_sd": 0.2, "noise_period": 0.4, "pulse": 0.6}
+    changes = {f"sensors.encoder.{name}": value for name, value in encoder.items()}
+    setting = load("moving-block", {**changes, "sensors.tags.sd": 0.3, "sensors.start_sd": 0.05, "time.period": 0.1}
+                   ).setting("law-p")
+    found = setting.matched(2)
+    assert found is not None and found.kind == "linear optimum"
+    assert found.beyond is not None and found.beyond.tolist() == pytest.approx([0.03, 0.0, 0.03, 0.0])
+    model, x, u = found.model, np.zeros((4, 2)), np.array([[0.5, 1.0], [2.0, 3.0]])
+    assert (model.states, model.measurements) == (("s-a", "scale-a", "s-b", "scale-b"), ("x-a", "y-a", "x-b", "y-b"))
+    assert model.period == 0.1 and model.initial_mean.shape == (4, 2) and not model.initial_mean.any()
+    np.testing.assert_allclose(model.initial_covariance[:, :, 0], np.diag([0.0025, 0.01] * 2), rtol=1e-12)
+    assert model.transition(x, u, whole(3)) is x and model.measurement(x, 3) is x
+    assert model.transition_jacobian is not None and model.process_covariance is not None
+    assert model.measurement_jacobian is not None and model.measurement_covariance is not None
+    for begins, share in ((0.0, 1.0), (0.25, 0.5), (0.5, np.array([0.5, 0.25]))):
+        interval = Interval(8, 0.1 * (7 + begins), 0.1 * share, share)
+        F, Q = np.repeat(np.eye(4)[:, :, None], 2, axis=2), np.zeros((4, 4, 2))
+        for train in range(2):
+            way = u[train] / 1.25**2
+            F[2 * train, 2 * train + 1] = -share * way
+            Q[2 * train, 2 * train] = (0.2 * 2.0 * way) ** 2 * ((begins + share) ** 2 - begins**2)
+        np.testing.assert_allclose(model.transition_jacobian(x, u, interval), F, rtol=1e-12)
+        np.testing.assert_allclose(model.process_covariance(x, u, interval), Q, rtol=1e-9)
+    np.testing.assert_array_equal(model.measurement_jacobian(x, 3)[:, :, 0], np.diag([1.0, 0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(model.measurement_covariance(untold(3, 4))[:, :, 0], np.eye(4) * 0.11, rtol=1e-12)
+    sure = load("moving-block", {"sensors.tags.sd": 0.0, "sensors.encoder.pulse": 1e-9}).setting("law-p").matched(1)
+    assert sure is not None and sure.model.measurement_covariance is not None
+    assert sure.model.measurement_covariance(untold(3, 4))[0, 0, 0] == 1e-12
+    s, truth, wanted = np.array([[0.2, 1.3], [3.1, 4.0]]), np.empty((4, 2)), np.zeros((4, 4, 2))
+    for train in range(2):
+        x, y, heading = setting.track.points(s[train])
+        truth[2 * train:2 * train + 2] = x, y
+        wanted[2 * train, 2 * train], wanted[2 * train + 1, 2 * train] = np.cos(heading), np.sin(heading)
+    assert found.outward is not None
+    np.testing.assert_allclose(found.outward(truth), wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("channel", "known"), [
+    ({"kind": "bernoulli", "p": 0.5}, True), ({"kind": "round-robin"}, False), ({"kind": "delay", "steps": 1}, True),
+    ({"kind": "delay", "steps": 1, "loss": {"kind": "round-robin"}}, False)])
+def test_a_channel_that_parts_x_from_y_leaves_no_bound(channel: dict[str, object], known: bool) -> None:
+    assert (load("moving-block", {"channel": channel}).setting("law-p").matched(1) is not None) == known
