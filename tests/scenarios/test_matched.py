@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from railstate.scenarios.files import load
 from railstate.scenarios.linear.config import LinearConfig
 from railstate.scenarios.linear.setting import LinearSystem
 from railstate.scenarios.measurement import untold
+from railstate.scenarios.registry import scenario_files
 from railstate.scenarios.setting import Setting
 
+from ..expected import digest
 from ..models import part, whole
 
 INTO = np.array([0.02, 0.2])
@@ -114,3 +117,19 @@ def test_sensors_and_extra_states_of_a_linear_plant() -> None:
     for i, (extra, sd) in enumerate(zip(found["bias"], (4.0, 2.0, 0.5), strict=True)):
         assert plain(extra) == (f"bias {i + 1}", "1", "constant", None, 0.0, None, None, 0.0, None) and extra.sd == sd
         assert extra.column is not None and extra.column.tolist() == np.eye(3)[i].tolist()
+
+
+def test_extra_states_of_every_setting(expected: Callable[[str, str], None]) -> None:
+    """Whatever is offered, with how it enters over a whole step."""
+    said = list[str]()
+    for name, path in scenario_files().items():
+        scenario = load(name)
+        setting = scenario.setting(scenario.default)
+        if setting.needs_file:
+            continue
+        for offered, extras in setting.extras({}).items():
+            for extra in extras:
+                ways = [digest(extra.gain(whole(3, setting.config.time.period)))] if extra.gain else []
+                ways += [] if extra.column is None else [digest(extra.column)]
+                said.append(f"{path.stem} {offered}: {plain(extra)} {extra.sd:.6g} {' '.join(ways)}".rstrip())
+    expected("extra-states", "\n".join(said))
