@@ -148,6 +148,23 @@ def test_the_change_of_the_error_over_a_distance() -> None:
         assert found[f"change-{distance}m:position"][0] == pytest.approx(0.02 * distance)
 
 
+@pytest.mark.parametrize(("table", "error", "kept"), [
+    ({"form": "stop", "within": 0.5}, [9.0, -0.5], 1), ({"form": "stop", "within": 0.5}, [0.0, 0.5000001], 0),
+    ({"form": "percentile", "percent": 50, "quantity": "position", "limit": 0.5}, [0.5, -0.5], 1),
+    ({"form": "percentile", "percent": 50, "quantity": "position", "limit": 0.5}, [0.5, 0.6], 0),
+    ({"form": "confidence", "k": 2.0}, [4.0, -4.0], 1), ({"form": "confidence", "k": 2.0}, [4.0, 4.1], 0),
+    ({"form": "speed", "quantity": "position", "points": [[0.0, 0.5]]}, [0.5, -0.5], 1),
+    ({"form": "speed", "quantity": "position", "points": [[0.0, 0.5]]}, [0.5, -0.6], 0),
+    ({"form": "allowance", "constant": 0.5, "share": 0.25, "s": "true"}, [-1.0, 1.0], 1),
+    ({"form": "allowance", "constant": 0.5, "share": 0.25, "s": "true"}, [1.0, 1.1], 0)])
+def test_what_ties_with_a_limit_is_kept(table: dict[str, Any], error: list[float], kept: int) -> None:
+    """A claimed standard deviation of 2; 2 m since the reference."""
+    truth, reference = np.full((2, 2, 1), 8.0), np.full((2, 2, 1), 6.0)
+    found = scored(asked(**table), truth, np.array(error)[:, None, None] * [[1.0], [0.0]], np.full((2, 1), 4.0),
+                   reference=reference)
+    assert found["kept"].tolist() == [kept]
+
+
 @pytest.mark.parametrize(("form", "own"), [
     ("allowance", "inside use over under"), ("speed", "inside use over under"), ("stop", "error"),
     ("confidence", "inside half-width k99"), ("percentile", "p97.5")])
