@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
+from railstate.benchmarks.conformance import rules
 from railstate.benchmarks.conformance.rules import _unflagged
-from railstate.benchmarks.conformance.trial import Record, difference, told
+from railstate.benchmarks.conformance.tapes import Case, Tape, small_case
+from railstate.benchmarks.conformance.trial import Record, Trial, difference, feed, told
 from railstate.estimators.interface import Estimate, Innovation
+from railstate.estimators.kalman import Kalman
+
+from ..expected import digest
 
 WHEN = ["at the start", "after the prediction of event 0", "after the measurement of event 0",
         "after the prediction of event 1", "after the measurement of event 1"]
@@ -48,6 +55,32 @@ def test_parts_of_a_record() -> None:
             [[1, np.nan], [np.nan] * 2], [[2, np.nan], [np.nan] * 2], [1, np.nan]), strict=True):
         np.testing.assert_array_equal(found, wanted)  # type: ignore[arg-type]
     assert told(received, Innovation()) == Innovation()
+
+
+def test_what_the_rules_feed(expected: Callable[[str, str], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each rule's tapes: which runs of them, all that is in them, whether to a fresh instance."""
+    case, fed = small_case({}), list[str]()
+
+    class Watched(Trial):
+        def feed(self, tape: Tape | None = None, **how: Any) -> Record:
+            seen(self.case.tape if tape is None else tape, *how)
+            return super().feed(tape, **how)
+
+    def seen(tape: Tape, *how: str) -> None:
+        fed.append(f"  {tape.runs} {' '.join(how)}")
+        fed.extend(f"    {field.name} {digest(getattr(tape, field.name))}" for field in fields(tape)
+                   if field.name in ("u", "shares", "y", "received", "truth"))
+
+    def direct(cls: Any, case: Case, tape: Tape, **how: Any) -> Record:
+        seen(tape, *how)
+        return feed(cls, case, tape, **how)
+
+    monkeypatch.setattr(rules, "feed", direct)
+    trial = Watched(Kalman, case, feed(Kalman, case, case.tape.copy()))
+    for rule in rules.RULES[:-1]:  # it walks nowhere on this tape
+        fed.append(rule.name)
+        assert rule.test(trial) is None
+    expected("fed", "\n".join(fed))
 
 
 def test_where_two_records_differ() -> None:
