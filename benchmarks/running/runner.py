@@ -57,8 +57,9 @@ class _Lost(Exception):
 
 
 def _numbered(number: int, task: Task) -> tuple[int, Result]:
-    atexit.unregister(gc.freeze)
-    atexit.register(gc.freeze)  # who ends need not look for garbage first
+    if not gc.get_freeze_count():
+        gc.freeze()  # what was imported is no garbage: loky looks for that once a second
+        atexit.register(gc.freeze)  # who ends need not look for it either
     return number, execute(task)
 
 

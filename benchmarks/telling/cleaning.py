@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import sys
 import unicodedata
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .marks import ASCII
@@ -112,9 +113,12 @@ def csv(frame: pd.DataFrame) -> str:
 
 def csv_text(value: Any) -> Any:
     """A value of a cell; of text, one that no spreadsheet computes."""
-    if not isinstance(value, str):
-        return value
-    text = visible(value)
+    return _csv_word(value) if isinstance(value, str) else value
+
+
+@lru_cache(maxsize=10_000)
+def _csv_word(text: str) -> str:
+    text = visible(text)
     try:
         float(text)
         return text

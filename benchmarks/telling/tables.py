@@ -83,12 +83,15 @@ def _by_part(table: pd.DataFrame, manifest: Mapping[str, Any], parts: Parts) -> 
     """What each table is of, its parts with their quantities' names, and by name the words of each estimator."""
     values = table[table["kind"] == "value"]
     for (scenario, variant), part in values.groupby(["scenario", "variant"], sort=False):
-        names, rmse = (part["metric"] + ":" + part["quantity"] + ":" + part["unit"]).unique(), part["metric"] == "rmse"
-        for quantity, columns in parts(names, manifest["scenarios"][str(scenario)]["quantities"]).items():
-            found = {name: records(part[rmse & (part["quantity"] == name)]) for _, name in columns}
+        names = (part["metric"] + ":" + part["quantity"] + ":" + part["unit"]).unique()
+        by_quantity = parts(names, manifest["scenarios"][str(scenario)]["quantities"])
+        wanted = {name for columns in by_quantity.values() for _, name in columns}
+        lines = records(part[(part["metric"] == "rmse") & part["quantity"].isin(wanted)])
+        for quantity, columns in by_quantity.items():
+            found = {name: [line for line in lines if line["quantity"] == name] for _, name in columns}
             head = bracket(f"rmse of {quantity}", found[columns[0][1]][0]["shown_unit"])
             yield f"{scenario}/{variant}: {head}", columns, {
-                name: {line["estimator"]: plus_minus(line) for line in lines} for name, lines in found.items()}
+                name: {line["estimator"]: plus_minus(line) for line in some} for name, some in found.items()}
 
 
 def _parts(names: Sequence[str], quantities: Sequence[str]) -> dict[str, list[tuple[str, str]]]:
