@@ -206,3 +206,40 @@ def test_known_states_lean_on_known_ones_only(part: str, state: int, unknown: st
                  np.full(2, 0.5))
     known = transitions.known_states(modes, P[way][:, way])
     assert known[way].tolist() == [str(i) not in unknown for i in range(5)]
+
+
+@pytest.mark.parametrize(("values", "printed", "least"), [(2, False, 3), (3, True, 4), (1, False, 3), (2, True, 4)])
+def test_groups_of_three_need_as_many_values(values: int, printed: bool, least: int) -> None:
+    with pytest.raises(Unsupported) as caught:
+        transitions.triples(np.arange(float(values)), printed)
+    assert str(caught.value) == f"groups of three need a grid of at least {least} values; this one has {values}"
+    grid = np.arange(float(least))
+    assert transitions.triples(grid, printed).tolist() == [[0, 1, 2]] * least
+
+
+def test_groups_nearest_to_each_value() -> None:
+    """Of centres 1, 2, 4, 7 (the last left out as printed); of two as near the first."""
+    grid = np.array([0.0, 1.0, 2.0, 3.0, 7.0, 11.0])
+    assert transitions.triples(grid, False)[:, 0].tolist() == [0, 0, 1, 1, 3, 3]
+    assert transitions.triples(grid, True)[:, 0].tolist() == [0, 0, 1, 1, 2, 2]
+    assert transitions.triples(-grid, True)[:, 0].tolist() == [1, 1, 1, 1, 3, 3]
+    even = np.array([0.0, 0.1, 0.2, 0.3]) + 1e-12 * np.array([0, 1, -1, 0])
+    assert transitions.triples(even, False)[:, 0].tolist() == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("kind", [StochasticM, RaoBlackwellizedParticle])
+@pytest.mark.parametrize("form", ["factorised", "full"])
+def test_a_grid_of_one_value_is_the_kalman_filter(kind: type[StochasticM], form: str) -> None:
+    runs, setting = range(2), braking()
+    world = setting.world(streams(runs))
+    model = setting.design_model({"grid": [0.8], "initial_variance": [1e-14, 1e-14, 1e-14, 0.0]}, world.initial_mean)
+    known = KnownParameterKalman({})
+    known.start(model, 2, streams(runs)("estimator", "k"))
+    means, values, _ = follow(kind({"form": form, **({"prior": "uniform"} if kind is not StochasticM else {})}), model,
+                              world, runs, 20)
+    for k in range(20):
+        known.reveal(np.full_like(world.truth[k], 0.8))
+        known.predict(world.u[k], whole(k))
+        known.update(heard(world.y[k], world.received[k], k))
+        np.testing.assert_allclose(means[k], known.estimate().mean, rtol=0, atol=1e-6)  # particles scatter by 1e-7
+    np.testing.assert_allclose(values, 0.8, rtol=1e-13)
