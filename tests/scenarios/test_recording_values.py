@@ -308,3 +308,17 @@ def test_what_is_said_to_be_left_out_is_enough(tmp_path, shift):
     ends = [float(text) for text in re.findall(r"--to (\d+)", message)]
     assert bool(spans) != bool(ends)
     assert read(path, **({"without": spans} if spans else {"span": [0.0, ends[0]]})).known["position"].all()
+
+
+@pytest.mark.parametrize("trips", ["turn", "draw"])
+def test_a_swept_outage_goes_through_each_trip(tmp_path, trips):
+    """Trips in turn: each is swept by every third run; drawn ones: a run's outage is where it is on that trip alone."""
+    paths = [write(tmp_path / f"{seed}.csv", tram(seed).head(120 + 20 * seed)) for seed in range(3)]
+    chosen = setting(paths, "sweep", **{"plant.trips": trips, "sensors.outage.duration": 20.0})
+    streams = Streams(1, "recorded", "sweep", range(12))
+    world, which = chosen.world(streams), chosen.trip_of(streams)
+    for run, number in enumerate(which.tolist()):
+        alone = setting(paths[number], "sweep", **{"sensors.outage.duration": 20.0}).world(
+            Streams(1, "recorded", "sweep", [run // 3 if trips == "turn" else run]))
+        assert np.array_equal(world.received[:alone.steps, 0, run], alone.received[:, 0, 0])
+        assert not alone.received[:, 0, 0].all()
