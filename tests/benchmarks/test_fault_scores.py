@@ -49,6 +49,13 @@ def test_alarms_hits_and_false_alarms():
     np.testing.assert_allclose(found["hits", "readings", "1"], [0.5, 0])
     np.testing.assert_allclose(found["false-alarms", "readings", "1"], [2 / 16, 0])
     assert ("recovery", "position", "s") not in found  # they never end
+    faulty[11:], faulty[10, 1] = False, False  # one wrong reading, none
+    found = scored([Outliers(kind="outliers", **{"from": 10.0})], np.zeros((20, 2)), ~faulty, faulty)
+    np.testing.assert_array_equal(found["hits", "readings", "1"], [0, np.nan])
+    np.testing.assert_array_equal(found["false-alarms", "readings", "1"], [1, 1])
+    found = scored([Outliers(kind="outliers", **{"from": 10.0})], np.zeros((20, 2)), faulty, ~faulty)
+    np.testing.assert_array_equal(found["hits", "readings", "1"], [0, 0])
+    np.testing.assert_array_equal(found["false-alarms", "readings", "1"], [1, np.nan])  # one right reading, none
 
 
 def test_no_faults_no_columns():

@@ -8,13 +8,14 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from railstate.benchmarks.commands.report import plot
 from railstate.benchmarks.judging.ranks import over_settings
 from railstate.benchmarks.telling.figures.axes import Scale, spanning, tick_text
-from railstate.benchmarks.telling.figures.canvas import DARK, LIGHT, Canvas
+from railstate.benchmarks.telling.figures.canvas import DARK, FONT, LIGHT, Canvas
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, drawn
 from railstate.benchmarks.telling.figures.data import Curve, Results, assign_styles, load_results
 from railstate.benchmarks.telling.figures.errors import binned_rms
@@ -184,6 +185,42 @@ def test_texts_of_a_figure_cannot_break_the_page() -> None:
     for inline in (True, False):
         assert "<script>" not in canvas.svg(inline=inline)
         ET.fromstring(canvas.svg(inline=inline))
+
+
+def test_all_that_is_drawn_is_in_other_formats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every property of each kind of item as matplotlib is told it, in the order in which they lie on each other."""
+    from matplotlib.colors import to_hex
+    from matplotlib.figure import Figure
+
+    told: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **how: told.append((figure, how)))
+    canvas = Canvas(144, "of all", width=72.0)
+    canvas.path([(0, 1), (2, 3), (4, 5)], width=2.0, dash=(3.0, 1.0))
+    canvas.dots([(5, 6), (7, 8)], "c1", 1.5)
+    canvas.path([(0, 0), (1, 0), (1, 1)], fill="c2", opacity=0.25, stroke="ink", width=0.5)
+    canvas.text(3, 4, "a $ b", size=10.0, anchor="middle", colour="c1", bold=True, turned=True)
+    canvas.text(1, 2, "end", anchor="end")
+    canvas.save(tmp_path / "a.png")
+    (figure, how), = told
+    (axes,) = figure.axes
+    assert how == {"dpi": 300, "facecolor": "white"} and tuple(figure.get_size_inches()) == (1.0, 2.0)
+    assert axes.get_xlim() == (0, 72) and axes.get_ylim() == (144, 0) and not axes.axison
+    line, dots, outline = axes.lines
+    assert [(one.get_zorder(), dots.get_markersize() if one is dots else one.get_linewidth(), to_hex(one.get_color()))
+            for one in axes.lines] == [(0, 2.0, LIGHT["ink"]), (1, 1.5, LIGHT["c1"]), (2, 0.5, LIGHT["ink"])]
+    assert [one.get_xydata().tolist() for one in axes.lines] == [
+        [[0, 1], [2, 3], [4, 5]], [[5, 6], [7, 8]], [[0, 0], [1, 0], [1, 1], [0, 0]]]
+    assert line._unscaled_dash_pattern == (0, (1.5, 0.5)) and outline.get_linestyle() == "-"
+    assert (dots.get_marker(), dots.get_linestyle(), dots.get_markeredgewidth()) == (".", "None", 0)
+    assert {(one.get_solid_capstyle(), one.get_solid_joinstyle()) for one in (line, outline)} == {("butt", "round")}
+    (area,) = axes.patches
+    assert (to_hex(area.get_facecolor()), area.get_alpha(), area.get_zorder()) == (LIGHT["c2"], 0.25, 2)
+    assert area.get_edgecolor()[3] == 0 and area.get_xy()[:3].tolist() == [[0, 0], [1, 0], [1, 1]]
+    assert [(one.get_text(), one.get_position(), one.get_fontsize(), to_hex(one.get_color()), one.get_ha(),
+             one.get_va(), one.get_rotation(), one.get_rotation_mode(), one.get_weight(), one.get_zorder())
+            for one in axes.texts] == [
+        (r"a \$ b", (3, 4), 9.5, LIGHT["c1"], "center", "baseline", 90, "anchor", "bold", 3),
+        ("end", (1, 2), FONT * 0.95, LIGHT["ink"], "right", "baseline", 0, "anchor", "normal", 4)]
 
 
 @pytest.mark.parametrize(("format_", "magic"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])

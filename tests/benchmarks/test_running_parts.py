@@ -128,7 +128,7 @@ def test_who_measures_what(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(("passes", "kept"), [
     ([[0.02] * 4, [0.02] * 4], 8), ([[0.03] * 2, [0.02] * 2, [0.02] * 1], 3), ([[0.022] * 2, [0.02] * 2, [0.02]], 5),
     ([[0.101]], 1), ([[0.1], [0.1]], 2), ([[0.01], []], 1), ([[]], 0), ([[1e-6] * 400, [1e-6] * 100], 500),
-    ([[1e-6] * 499, [1e-6] * 3], 502)])
+    ([[1e-6] * 499, [1e-6] * 3], 502), ([[2e-6] * 300, [1e-6] * 300, [1e-6] * 200], 500)])
 def test_passes_until_they_agree_or_the_time_is_up(monkeypatch: pytest.MonkeyPatch, passes: list[list[float]],
                                                    kept: int) -> None:
     """A first pass slower than 1.1 times the second is left out; 500 samples or 0.1 s are enough; an empty one ends."""

@@ -78,6 +78,7 @@ def test_times_are_minimums_and_ratios_of_one_process() -> None:
         ("9.99", "99.9"), ("10.00", "100.0"), ("10.0", "100")]
     both = [cluster.Line(2, 100, 0.8, 0.5), cluster.Line(2, 100, 0.7, 0.6)]
     assert cluster.Line.least(both) == cluster.Line(2, 100, 0.7, 0.5)
+    assert all(kind.least([one]) == one for kind, one in ((measure.Line, line), (cluster.Line, both[1])))
     assert both[0].row == {"workers": "2", "runs a task": "100", "work a task [ms]": "50.0",
                            "cost of a task [ms]": "12.5", "efficiency": "0.80"}
 

@@ -203,6 +203,11 @@ def test_a_negative_innovation_variance_is_a_failure_where_it_is_received() -> N
     np.testing.assert_allclose(x[:, 0], [2 / 3, 0.0])
     assert np.isnan(x[:, 1]).all() and np.isnan(p[:, :, 1]).all()
     np.testing.assert_array_equal(x[:, 2], 0.0)
+    p, noise = -np.repeat(np.eye(2)[:, :, None], 3, axis=2), np.repeat(r, 3, axis=2)
+    p[:, :, 2], noise[0, 1, 1], noise[1, 0, 1] = np.eye(2), 0.1, 0.1  # one failure of each kind of noise
+    x, y, guess, failed[:] = np.zeros((2, 3)), np.ones((2, 3)), np.zeros((2, 3)), False
+    assert kalman_update(x, p, y, guess, y > 0, h, noise, *told, failed) == 2
+    assert failed.tolist() == [True, True, False]
 
 
 def test_model_product_equals_numpy() -> None:
