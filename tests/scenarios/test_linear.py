@@ -5,6 +5,7 @@ The truth is compared with moments known in closed form, each with its Monte Car
 from __future__ import annotations
 
 import math
+import re
 from copy import deepcopy
 from typing import Any
 
@@ -249,3 +250,18 @@ def test_extra_states_have_the_plants_own_numbers():
             for one in extras["bias"]] == [("bias 1", "constant", math.sqrt(0.3), [1.0, 0.0, 0.0]),
                                            ("bias 2", "constant", math.sqrt(0.2), [0.0, 1.0, 0.0]),
                                            ("bias 3", "constant", math.sqrt(0.4), [0.0, 0.0, 1.0])]
+
+
+@pytest.mark.parametrize(("name", "wrong", "message"), [
+    ("Q", [[-0.5, 0.0], [0.0, 1.0]], "must be positive semi-definite; its least eigenvalue is -0.5"),
+    ("Q", [[1.0, 0.1], [0.0, 1.0]], "is a covariance and must be symmetric"),
+    ("R", np.diag([1.0, 0.0, 1.0]).tolist(), "must be positive definite; its least eigenvalue is 0")])
+def test_every_step_of_a_covariance_is_looked_at(name: str, wrong: list[list[float]], message: str) -> None:
+    """k = 0 .. 6 of six steps, and no further; fewer are refused."""
+    good = np.eye(len(wrong)).tolist()
+    for k in range(7):
+        with pytest.raises(ValueError, match=rf"plant\.{name} at k = {k} {re.escape(message)}"):
+            setting(**{f"plant__{name}": [*[good] * k, wrong, *[good] * (7 - k)]})
+    setting(**{f"plant__{name}": [*[good] * 7, wrong]})
+    with pytest.raises(ValueError, match=rf"plant\.{name} lists 6 matrices; 7 are needed, for k = 0 \.\. 6"):
+        setting(**{f"plant__{name}": [good] * 6})
