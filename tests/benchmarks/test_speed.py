@@ -105,7 +105,8 @@ def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPa
         given.append((program[3:], cwd, fresh))
         return SimpleNamespace(returncode=0)
 
-    monkeypatch.setattr(start, "perf_counter", Clock())
+    clock = Clock()
+    monkeypatch.setattr(start, "perf_counter", lambda: 100 * clock())  # the n-th command takes n / 5 s
     monkeypatch.setattr(subprocess, "run", ran)
     monkeypatch.setenv("COLUMNS", "120")
     said = railstate("timing", "--only", "start", "--repeats", 2).out
@@ -116,7 +117,7 @@ def test_how_long_commands_take(railstate: Command, monkeypatch: pytest.MonkeyPa
         "railstate --version", "railstate --help", "railstate list", *(
             f"railstate run {name} {what}" for name in ("rap-example-1", "ningbo-metro/switching")
             for what in ("nothing compiled", "again")), f"{many} 1", f"{many} 2"]
-    assert [float(taken) for _, taken in found] == sorted(float(taken) for _, taken in found)
+    assert [float(taken) for _, taken in found] == [0.2, 0.6, 1.0, 1.4, 1.6, 1.8, 2.0, 2.4, 2.6]
     assert [" ".join(line) for line, *_ in given] == [
         *("--version", "--version", "--help", "--help", "list", "list"), *(
             f"run {name} --out {what}" for name in ("rap-example-1", "ningbo-metro/switching")
