@@ -65,14 +65,15 @@ class Seen(Observer):
             self.rows[number, "said"] = np.where(received.any(axis=0), innovation.log_likelihood, 0.0)
 
 
-def seen(name: str, label: str, walks: bool, steps: int = STEPS, early: bool = False) -> tuple[Seen, Any]:
-    """What an observer sees of an entry in a setting's first steps."""
+def seen(name: str, label: str, walks: bool, steps: int = STEPS, early: bool = False, **parameters: Any
+         ) -> tuple[Seen, Any]:
+    """What an observer sees of an entry in a setting's first steps. parameters: instead of the entry's."""
     cell = make_plan([name], only=[label], runs=RUNS).cells[0]
     setting, entry = cell.setting(), cell.entries[label]
     streams = Streams(4, cell.scenario, cell.variant, range(RUNS))
     world = FirstSteps(setting.world(streams), steps)
-    estimator, model = prepare(setting, estimator_class(entry.plugin, label), entry.parameters, entry.knowledge,
-                               world.initial_mean)
+    estimator, model = prepare(setting, estimator_class(entry.plugin, label), {**entry.parameters, **parameters},
+                               entry.knowledge, world.initial_mean)
     estimator.design(model)
     estimator.start(model, RUNS, streams("estimator", label))
     observer = Seen(walks, early)
@@ -96,6 +97,17 @@ def test_a_walk_is_its_steps(variant: str, label: str) -> None:
     (walked, one), (stepped, other) = (seen(f"odometry/{variant}", label, walks) for walks in (True, False))
     assert STEPS - 50 < walked.at_once < STEPS
     compare(walked, one, stepped, other)
+
+
+@pytest.mark.parametrize(("label", "sensors"), [("imm-slip", "gate"), ("ekf-gated", "sensors")])
+def test_a_walk_rejects_what_its_steps_do(label: str, sensors: str) -> None:
+    """Where the limit lies amid the readings, half of which are beyond it."""
+    amid = {sensors: ["wheel-a", "wheel-b", "radar"], "level": 0.5, "after": 1.5}
+    (walked, one), (stepped, other) = (seen("odometry/wet-radar", label, walks, 200, **amid) for walks in (True, False))
+    assert walked.at_once > 150
+    compare(walked, one, stepped, other)
+    free, _ = seen("odometry/wet-radar", label, True, 200, **{**amid, "level": 1 - 1e-9})
+    assert (free.rows[200, "mean"] != walked.rows[200, "mean"]).any(axis=0).all()
 
 
 @pytest.mark.parametrize("early", [True, False])
