@@ -53,6 +53,7 @@ def unusual(cell: CellResults) -> list[CellResults]:
         ("reference-error", 0.01 * T))}
     asked = [{"form": "allowance", "constant": 5.0, "share": 0.05},
              {"form": "confidence", "name": "near", "k": 2.0, "accept": 0.9, "quantity": names[0]}]
+    plain = [{key: value for key, value in asked[1].items() if key != "accept"}]
     parts = tuple(line(label, 10.0 ** (number % 3) * (place + 1.5), kind="value", quantity=f"{name}-{word}")
                   for name, words in ((names[0], ("1", "2")), (names[-1], PHASES)) for place, word in enumerate(words)
                   for number, label in enumerate(labels) if place != 1 or number)
@@ -66,7 +67,7 @@ def unusual(cell: CellResults) -> list[CellResults]:
         "begin:outage:s": rows["run"] % 4 * 10.0 + 5, "rmse:position-outage-end:m": (1 + rows["run"]) * factor})
     lines = tuple({**one, "value": 1 / one["value"]} if one["kind"] == "error" else one for one in cell.lines)
     some = replace(cell, lines=lines, rows=rows, kept=kept(few[1:], names), curves=curves(few, (*names, "nis"), False),
-                   width=400.0, table={"requirements": asked[1:], "estimators": {}}, only=names[-1:])
+                   width=400.0, table={"requirements": plain, "estimators": {}}, only=names[-1:])
     none = replace(cell, kept={("", "received"): Kept(T, 0 * T, T, T)}, curves={}, table={"estimators": {}})
     return [wide, some, none, replace(wide, rows=cell.rows[cell.rows["estimator"].isin(labels[:CROWD])])]
 
