@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 from railstate.scenarios.faults import Fault, Readings
+from railstate.scenarios.measurement import Measurement, told
 from railstate.scenarios.sensors.accelerometer import Accelerometer
 from railstate.scenarios.sensors.balise import Balises
 from railstate.scenarios.sensors.gnss import Gnss, ends, fixes
@@ -258,3 +259,16 @@ def test_faults_that_fit_no_setting(table: dict[str, Any], following: bool, plac
         return
     with pytest.raises(ValueError, match=f"^{re.escape(said)}$"):
         fault(**table).check(sensing, following)
+
+
+@pytest.mark.parametrize("inflate", [0.5, 1.0, 1.5, 2.0])
+def test_a_covariance_that_sensors_tell_stands_for_the_models(inflate: float) -> None:
+    """Where it is told; a mode inflates either."""
+    own = np.array([[2.0, 0.5], [0.5, 3.0]])[:, :, None]
+    r = told(lambda step: step * own, inflate)
+    here = Measurement(np.zeros((2, 2)), np.ones((2, 2), dtype=bool), 4)
+    np.testing.assert_array_equal(r(here), inflate * 4 * own)
+    said = np.full((2, 2, 2), np.nan)
+    said[0, 0], said[1, :, 1], said[0, 1, 1] = [5.0, 6.0], [0.0, 7.0], 0.0
+    expected = np.array([[[5.0, 6.0], [2.0, 0.0]], [[2.0, 0.0], [12.0, 7.0]]])
+    np.testing.assert_array_equal(r(here._replace(covariance=said)), inflate * expected)
