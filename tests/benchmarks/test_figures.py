@@ -200,6 +200,7 @@ def test_all_that_is_drawn_is_in_other_formats(tmp_path: Path, monkeypatch: pyte
     canvas.path([(0, 0), (1, 0), (1, 1)], fill="c2", opacity=0.25, stroke="ink", width=0.5)
     canvas.text(3, 4, "a $ b", size=10.0, anchor="middle", colour="c1", bold=True, turned=True)
     canvas.text(1, 2, "end", anchor="end")
+    assert canvas.svg(inline=True).startswith('<svg viewBox="0 0 720 1440" role="img" aria-label="of all"><path ')
     canvas.save(tmp_path / "a.png")
     (figure, how), = told
     (axes,) = figure.axes

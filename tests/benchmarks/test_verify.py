@@ -12,6 +12,9 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
+from railstate.benchmarks.store.provenance import environment
+from railstate.benchmarks.studies import verify
 
 from ..conftest import Command
 
@@ -32,7 +35,8 @@ def manifest(folder: Path, change: Any) -> None:
     (folder / "manifest.json").write_text(json.dumps(content))
 
 
-def test_a_folder_as_it_was_made_agrees_and_no_other(railstate: Command, expected: Callable[[str, str], None]) -> None:
+def test_a_folder_as_it_was_made_agrees_and_no_other(railstate: Command, expected: Callable[[str, str], None],
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever a stranger may have changed, one at a time."""
     assert railstate("run", "cart.toml/calm", "--estimators", "ekf,kalman,half", "--plugin", "half.py", "--runs", 3,
                      "--out", "done").code == 0
@@ -73,6 +77,11 @@ def test_a_folder_as_it_was_made_agrees_and_no_other(railstate: Command, expecte
     for path in sorted(changed("rows").glob("*.parquet")):
         altered(path, "rmse:position:m", 1, 0.5)
     verified("a number of a row", "copy", code=1)
+    with monkeypatch.context() as patch:
+        patch.setattr(verify, "environment", lambda: {**environment(), "processor": "mine"})
+        manifest(Path("copy"), lambda content: content["environment"].update(processor="theirs"))
+        verified("and another processor", "copy", code=1)
+    manifest(Path("copy"), lambda content: content["environment"].update(processor=environment()["processor"]))
     manifest(Path("copy"), lambda content: content["environment"]["packages"].update(numpy="1.0"))
     verified("and another numpy", "copy", code=1)
     changed("rows")

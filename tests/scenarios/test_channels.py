@@ -87,6 +87,16 @@ def test_try_once_discard_against_a_scalar_loop():
             assert np.flatnonzero(found.received[k, :, run]).tolist() == sorted(chosen)
 
 
+def test_try_once_discard_of_readings_that_stand_still() -> None:
+    """Each node once, then the first, as no other is more urgent; nobody where nothing is there to be sent."""
+    readings, there = np.ones((6, 3, 2)), np.ones((6, 3, 2), dtype=bool)
+    there[4:, :, 1] = False
+    found = channel(kind="try-once-discard", nodes=[[1], [0, 2]]).carry(streams(2), Sent(readings, there, np.ones(3)))
+    first, second, none = [0, 1, 0], [1, 0, 1], [0, 0, 0]
+    np.testing.assert_array_equal(found.received[:, :, 0], [first, second, first, first, first, first])
+    np.testing.assert_array_equal(found.received[:, :, 1], [first, second, first, first, none, none])
+
+
 def test_markov_random_access_stays_and_turns_as_it_says():
     chain = [[0.9, 0.1, 0.0], [0.2, 0.5, 0.3], [0.25, 0.25, 0.5]]
     steps, runs = 3000, 40
