@@ -100,7 +100,7 @@ def _unfit(error: BaseException) -> str:
 
 
 class _AsItIs(SourceFileLoader):
-    """Compiles a file each time: bytecode that lies beside it is taken for an edit of the same second and length."""
+    """Compiles a file each time: bytecode kept beside it would be taken for an edit of the same second and length."""
 
     def get_code(self, fullname: str) -> CodeType:
         return self.source_to_code(self.get_data(self.path), self.path)

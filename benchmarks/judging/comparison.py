@@ -55,6 +55,7 @@ def between_folders(a: Store, b: Store) -> Changes:
     """What changed between two folders."""
     rows = {"a": a.rows(), "b": b.rows()}
     manifests = {"a": a.manifest(), "b": b.manifest()}
+    # copied: rows have a block for each column, of which pandas warns where one more is put in
     merged = pd.concat([frame.copy().assign(side=side) for side, frame in rows.items()], ignore_index=True)
     alike: list[Alike] = []
     found: list[Comparison] = []

@@ -136,7 +136,7 @@ def signed_rank(gaps: ArrayLike) -> float:
     """The p value of Wilcoxon's signed-rank test that `gaps` (n,) lie about 0; 1 where all are zero.
 
     By its normal approximation (from some 20 on), zeros left out, ties at their mean rank, as scipy.stats.wilcoxon's
-    "asymptotic": to import that would take longer than all else that is judged."""
+    "asymptotic", without the import of scipy.stats."""
     v = finite(gaps)
     v = v[v != 0]
     if not v.size:

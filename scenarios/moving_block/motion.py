@@ -30,7 +30,6 @@ class Course(NamedTuple):
     goal: tuple[float, float]
     accelerate: tuple[float, float]
     pulse: float
-    period: float
 
 
 class Memory(NamedTuple):
@@ -86,9 +85,9 @@ def _judge(k, mean, truth, under_way, active, records):
 
 
 @njit(cache=True, inner=True)
-def _locate(mean, memory, line, k, active, along):
+def _locate(mean, memory, line, k, time, active, along):
     """Project the estimates on the track, unwrap them to where the encoder expects the trains, note finished laps."""
-    half_length, time = line.length / 2, k * line.period
+    half_length = line.length / 2
     for run in range(mean.shape[1]):
         if not active[run]:
             continue
@@ -202,7 +201,7 @@ def drive(k, mean, memory, line, control, stops, factor, tags, heard, read, acti
     if steering.size:
         mean = np.empty_like(mean)
         _place_all(steering, line.half, line.radius, mean)
-    _locate(mean, memory, line, k, active, records.along)
+    _locate(mean, memory, line, k, k * control.period, active, records.along)
     most = _move(memory, line, control, stops, factor, tags[1], read, active, u, share, tag)
     if steering.size:
         for train in range(2):

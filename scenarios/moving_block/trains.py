@@ -44,7 +44,7 @@ class TwoTrains:
             round(signalling.release_delay / self.period) if fixed else 0, trains.length,
             max(round(trains.dwell / self.period), 1), trains.stop_tolerance,
             (trains.start[0] + trains.laps * length, trains.start[1] + trains.laps * length), (leader, leader),
-            sensors.encoder.pulse, self.period)
+            sensors.encoder.pulse)
         self.stops = self._stops(config, length)
 
         truth, measurement = streams("truth"), streams("measurement")
@@ -53,12 +53,11 @@ class TwoTrains:
         x, y, _ = track.points(start + sensors.start_sd * truth.normal(2))
         self.initial_mean = np.stack([x[0], y[0], x[1], y[1]])
         passes = sensors.tags.count * (trains.laps + 4)
-        self.crossings, self.tag_x, self.tag_y = self._tags(config, track, start, passes)
-        self.tag_s = self.crossings
+        self.tag_s, self.tag_x, self.tag_y = self._tags(config, track, start, passes)
         self.steering = start.copy() if rules.steered_by == "tags" else np.empty((0, runs))
-        self.crossings = self.crossings[:, :, None] + sensors.tags.sd * measurement.normal(2, passes)
+        crossings = self.tag_s[:, :, None] + sensors.tags.sd * measurement.normal(2, passes)
         # A train whose run has gone wrong may go on for ever: beyond the last tag there is none.
-        self.crossings = np.concatenate([self.crossings, np.full((2, 1, runs), np.inf)], axis=1)
+        self.crossings = np.concatenate([crossings, np.full((2, 1, runs), np.inf)], axis=1)
         shape = (self.steps, 4, runs)
         readings = faulted(np.zeros(shape), np.ones(shape, dtype=bool), np.arange(1.0, self.steps + 1) * self.period,
                            streams, sensing, config.faults, following=False)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from railstate.scenarios.errors import InputError, Unsupported
 from railstate.scenarios.files import load
+from railstate.scenarios.recorded.findings import APART, leave_out, spans
 from railstate.scenarios.setting import Setting
 
 from ..recordings import METRO, fixes, metro, tram, write_examples
@@ -112,3 +113,15 @@ def test_what_is_said_of_recordings(folder: Path, expected: Callable[[str, str],
         except (InputError, Unsupported) as error:
             said.append(f"{name}: {error}")
     expected("recording-words", "\n".join(said).replace(f"{folder}/", ""))
+
+
+def test_options_that_leave_rows_out() -> None:
+    """Rows nearer than `APART` are one place; four are named at most, in whole seconds around them."""
+    time = np.array([0.0, 0.4, 0.4 + APART, 31.0 + APART, 100.0, 200.7, 300.0, 400.0, 500.2])
+    rows = np.arange(len(time))
+    places = [(0.0, 31.0), (61.0, 61.0), (100.0, 100.0), (200.0, 201.0), (300.0, 300.0), (400.0, 400.0), (500.0, 501.0)]
+    assert spans(time, rows) == places and spans(time, rows[:0]) == [] and spans(time, rows[[2]]) == [(30.0, 31.0)]
+    options = [f"--without {a:g}..{b:g}" for a, b in places]
+    for count, last in ((0, 0), (1, 3), (4, 6), (5, 7), (7, 9)):
+        more = f" and {count - 4} more such places" if count > 4 else ""
+        assert leave_out(time, rows[:last]) == " ".join(options[:min(count, 4)]) + more

@@ -16,7 +16,6 @@ import pyarrow as pa
 import pyproj
 import pytest
 from railstate.scenarios.recorded import places, wheels
-from railstate.scenarios.recorded.findings import APART, leave_out, spans
 from railstate.scenarios.recorded.readers import delimited, files, gpx, mcap, mf4, parquet, reading, rosbag
 from railstate.scenarios.recorded.readers.gpx import read_gpx
 from railstate.scenarios.recorded.readers.messages import Series
@@ -338,15 +337,3 @@ def test_places_of_balises() -> None:
                         (table(name=["a"], s_m=[float("nan")]), "a balise has no place")):
         with refused(f"plant.balises: f: {said}"):
             wheels.balises_in(given)
-
-
-def test_options_that_leave_rows_out() -> None:
-    """Rows nearer than `APART` are one place; four are named at most, in whole seconds around them."""
-    time = np.array([0.0, 0.4, 0.4 + APART, 31.0 + APART, 100.0, 200.7, 300.0, 400.0, 500.2])
-    rows = np.arange(len(time))
-    places = [(0.0, 31.0), (61.0, 61.0), (100.0, 100.0), (200.0, 201.0), (300.0, 300.0), (400.0, 400.0), (500.0, 501.0)]
-    assert spans(time, rows) == places and spans(time, rows[:0]) == [] and spans(time, rows[[2]]) == [(30.0, 31.0)]
-    options = [f"--without {a:g}..{b:g}" for a, b in places]
-    for count, last in ((0, 0), (1, 3), (4, 6), (5, 7), (7, 9)):
-        more = f" and {count - 4} more such places" if count > 4 else ""
-        assert leave_out(time, rows[:last]) == " ".join(options[:min(count, 4)]) + more
