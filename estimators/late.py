@@ -50,9 +50,11 @@ class Mailbox:
 
 @dataclass
 class _Entry:
-    """One event of the past: how it was before, the prediction that led to it (if any) and its measurement so far."""
+    """One event of the past: how it was before, the truth revealed until then (to oracles), the prediction that led to
+    it (if any) and its measurement so far."""
 
     before: Any
+    truth: Array | None
     prediction: tuple[Array, Interval] | None = None
     measurement: Measurement | None = None
 
@@ -75,6 +77,7 @@ class Rewinding(Estimator):
         self._past: dict[tuple[int, int], _Entry] = {}
         self._stale: tuple[int, int] | None = None
         self._now = (0, 0)
+        self._truth: Array | None = None
 
     def design(self, model: DesignModel) -> dict[str, Any]:
         return self.estimator.design(model)
@@ -82,11 +85,12 @@ class Rewinding(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         self.estimator.start(model, runs, random)
         self._judged()
-        self._past, self._stale, self._now = {}, None, (0, 0)
+        self._past, self._stale, self._now, self._truth = {}, None, (0, 0), None
         self._next()
 
     def reveal(self, truth: Array) -> None:
         self._catch_up()
+        self._truth = read_only(truth.copy())
         self.estimator.reveal(truth)
 
     def predict(self, u: Array, interval: Interval) -> None:
@@ -100,7 +104,7 @@ class Rewinding(Estimator):
             del self._past[self._now]
             self._now = (interval.step, 0)
             entry = self._next()
-        entry.prediction = (read_only(u.copy()), interval)
+        entry.truth, entry.prediction = self._truth, (read_only(u.copy()), interval)
         self.estimator.predict(u, interval)
         self.status, self.reasons = self.estimator.status, self.estimator.reasons
 
@@ -114,7 +118,7 @@ class Rewinding(Estimator):
                 entry = self._next()
             else:
                 entry = self._past[newest]
-            entry.measurement = _merged(entry.measurement, measurement)
+            entry.truth, entry.measurement = self._truth, _merged(entry.measurement, measurement)
             innovation = self.estimator.update(measurement)
             self._judged()
             return innovation
@@ -136,10 +140,6 @@ class Rewinding(Estimator):
         self._catch_up()
         return self.estimator.extremes()
 
-    def snapshot(self) -> Any:
-        self._catch_up()
-        return super().snapshot()
-
     def _judged(self) -> None:
         """Have the estimator's own verdicts at hand: runs that failed, readings it discounted."""
         self.status, self.reasons = self.estimator.status, self.estimator.reasons
@@ -147,7 +147,7 @@ class Rewinding(Estimator):
 
     def _next(self) -> _Entry:
         """A new event; what is older than `depth` steps is forgotten."""
-        entry = self._past[self._now] = _Entry(self.estimator.snapshot())
+        entry = self._past[self._now] = _Entry(self.estimator.snapshot(), self._truth)
         for key in [key for key in self._past if key[0] < self._now[0] - self.depth]:
             del self._past[key]
         return entry
@@ -163,6 +163,8 @@ class Rewinding(Estimator):
                 self.estimator.restore(entry.before)
             else:
                 entry.before = self.estimator.snapshot()
+            if entry.truth is not None:
+                self.estimator.reveal(entry.truth)
             if entry.prediction is not None:
                 self.estimator.predict(*entry.prediction)
             if entry.measurement is not None:

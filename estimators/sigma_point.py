@@ -104,8 +104,6 @@ class SigmaPointKalman(Estimator):
         return walk
 
     def estimate(self) -> Estimate:
-        if self._estimate.mean is not self._mean or self._estimate.covariance is not self._covariance:
-            self._estimate = Estimate(self._mean, covariance=self._covariance)
         return self._estimate
 
     def _linearised(self, measurement: Measurement) -> tuple[Array, Array, Array]:

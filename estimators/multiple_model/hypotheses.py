@@ -18,7 +18,7 @@ from ...scenarios.model import DesignModel
 from ...scenarios.randomness import RunRandom
 from .. import mode_grid
 from ..interface import Estimate, Estimator, Innovation, Parameters, Room, Status, Walk, flag
-from ..kalman import SINGULAR_INNOVATION, ExtendedKalman
+from ..kalman import ExtendedKalman
 from ..kernels.mixing import log_density, mix, moments, weigh
 from ..outliers.base import Reading, ratio_limit
 from ..outliers.kernels import look
@@ -149,11 +149,10 @@ class InteractingModels(Estimator):
         bank, runs, nx = self.bank, self.runs, self.model.nx
         mean, covariance, likelihood = self._room.of(len(course.y), mean=(nx, runs), covariance=(nx, nx, runs),
                                                      likelihood=(runs,))
-        if walk_modes(*whole[:6], noise, np.full(self.m * runs, course.period), self.power(np.asarray(1.0)), course.u,
-                      course.y, course.received, course.told, bank._mean, bank._covariance, self.weight,
-                      bank._failed, self.lost, course.times, whole.noise, self._limit, judged, since,
-                      self.parameters.after - 1e-9, mean, covariance, likelihood):
-            flag(bank, bank._failed, Status.failed, SINGULAR_INNOVATION)
+        walk_modes(*whole[:6], noise, np.full(self.m * runs, course.period), self.power(np.asarray(1.0)), course.u,
+                   course.y, course.received, course.told, bank._mean, bank._covariance, self.weight, bank._failed,
+                   self.lost, course.times, whole.noise, self._limit, judged, since, self.parameters.after - 1e-9, mean,
+                   covariance, likelihood)
         if self.lost.any():
             flag(self, self.lost, Status.failed, IMPOSSIBLE)
         return Walk(mean, covariance, Innovation(log_likelihood=likelihood))

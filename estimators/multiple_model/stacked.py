@@ -43,8 +43,6 @@ def stacked(modes: Sequence[Mode], runs: int) -> DesignModel:
     def each(name: str) -> Callable[..., Array] | None:
         """A model function, mode by mode, or once where all have the same."""
         functions = [getattr(model, name) for model in models]
-        if any(function is None for function in functions):
-            return None
         if all(function == functions[0] for function in functions):
             return functions[0]
 

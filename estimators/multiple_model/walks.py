@@ -33,7 +33,7 @@ def walk_modes(f, F, measurement, jacobian, data, q, noise, seconds, transition,
 
     Readings of `judged` (ny,) elements whose ratio by the moments of all modes and the noise `own` (3, ny) is above the
     limit are rejected by a gate that opens `after` so many s, see `close`; since (ny, S), times (B,) s."""
-    m, runs, nx, ny, bad = weight.shape[0], weight.shape[1], mean.shape[0], y.shape[1], 0
+    m, runs, nx, ny = weight.shape[0], weight.shape[1], mean.shape[0], y.shape[1]
     wide, nothing, moving = m * runs, np.zeros((1, 1)), np.ones(runs, np.bool_)
     inputs, seen, got = np.empty((u.shape[1], wide)), np.empty((ny, wide)), np.empty((ny, wide), np.bool_)
     predicted, h, r = np.empty((ny, wide)), np.empty((ny, nx, wide)), np.zeros((ny, ny, wide))
@@ -76,7 +76,6 @@ def walk_modes(f, F, measurement, jacobian, data, q, noise, seconds, transition,
                 noises(variance[b], noise[j], j * runs, r)
             repeat(y[b], m, seen)
             repeat(accepted, m, got)
-            bad += uncorrelated_update(mean, covariance, seen, predicted, got, h, r, residual, spread, failed)
+            uncorrelated_update(mean, covariance, seen, predicted, got, h, r, residual, spread, failed)
             likelihoods[b] = weigh(weight, log_density(residual, spread, accepted), heard, lost)
         moments(weight, mean, covariance, means[b], covariances[b])
-    return bad

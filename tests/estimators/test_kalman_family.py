@@ -272,6 +272,8 @@ def test_a_run_that_stands_still_keeps_its_bits(estimator: Estimator) -> None:
         out = []
         for k in range(6):
             estimator.predict(data.u[k], whole(k, model.period))
+            if extra:
+                estimator.predict(data.u[k], models.part(k, still, model.period))
             estimator.update(heard(data.y[k], data.received[k], k))
             if extra:
                 estimator.predict(data.u[k], models.part(k, still, model.period))
