@@ -105,13 +105,14 @@ def test_textbook_recursion(name: str) -> None:
     scenario, _, variant = name.partition("/")
     setting: Any = load(scenario, {"plant.R": [[0.09, 0.05], [0.05, 0.09]]}).setting(variant)
     world = setting.world(Streams(1, scenario, variant, (0, 4, 7)))
-    found, model = floor_of(setting, world, predicted=False), basis(setting, 3)
-    assert found is not None and model is not None
+    found, model, early = floor_of(setting, world, predicted=False), basis(setting, 3), floor_of(setting, world, True)
+    assert found is not None and early is not None and model is not None
     linear = model.model.linear
     for run in range(3):
         P = model.model.initial_covariance[:, :, 0]
         for k in range(60):
             P = linear.A(k) @ P @ linear.A(k).T + linear.Q(k)
+            np.testing.assert_allclose(early.squares[k, :, run], np.diag(P), rtol=1e-9)
             got = world.received[k, :, run]
             H, R = linear.C(k + 1)[got], linear.R(k + 1)[np.ix_(got, got)]
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from railstate.benchmarks.scoring import stretch
 from railstate.benchmarks.scoring.stretch import Claims, Stretch
 from railstate.estimators.interface import Estimate, Walk
 from railstate.scenarios.measurement import Course
@@ -38,11 +39,11 @@ def walked(parts: tuple[bool, ...], truths: int = 4) -> tuple[Straight, Walk, li
     return Straight(course, truth, active, last=steps[-1], **made), walk, list(zip(single, steps, strict=True))
 
 
-def kept(stretch: Stretch) -> dict[str, Any]:
-    found = {name: getattr(stretch, name) for name in PARTS}
-    if stretch.covariance is not None:
-        found |= {name: getattr(stretch.covariance, name) for name in ("diagonal", "form", "failed")}
-    return {name: None if value is None else value[:stretch.count].copy() for name, value in found.items()}
+def kept(one: Stretch) -> dict[str, Any]:
+    found = {name: getattr(one, name) for name in PARTS}
+    if one.covariance is not None:
+        found |= {name: getattr(one.covariance, name) for name in ("diagonal", "form", "failed")}
+    return {name: None if value is None else value[:one.count].copy() for name, value in found.items()}
 
 
 @pytest.mark.parametrize("parts", list(itertools.product([False, True], repeat=6)))
@@ -63,17 +64,40 @@ def test_steps_at_once_are_kept_as_one_by_one(parts: tuple[bool, ...]) -> None:
         assert late or (one.take(43, *steps[3]) and one.take(44, *steps[4]) and other.walk(40, straight, walk, 3) == 2)
 
 
+@pytest.mark.parametrize("estimated", [False, True])
+@pytest.mark.parametrize("parts", [(True,) * 6, (False,) * 6])
+def test_single_steps_of_many_runs_are_looked_at_where_they_are(parts: tuple[bool, ...], estimated: bool,
+                                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those that are copied, with a parameter that is estimated or only known; memory in whatever order."""
+    _, _, steps = walked(parts)
+    given = [(replace(estimate, mean=np.asfortranarray(estimate.mean), parameter=np.full((1, S), 1.5) if estimated
+                      else None), step) for estimate, step in steps]
+    copied, looked = Stretch(S, 2), Stretch(S, 2)
+    copied.renew(*given[0])
+    monkeypatch.setattr(stretch, "ROOM", 0)
+    looked.renew(*given[0])
+    assert (copied.room, looked.room) == (64, 1)
+    for k, one in enumerate(given):
+        copied.count = looked.count = 0
+        assert copied.take(k, *one) and looked.take(k, *one) and looked.full
+        for name, value in kept(copied).items():
+            np.testing.assert_array_equal(kept(looked)[name], value, err_msg=name)
+        assert looked.vector.shape == (1, 4, S) and (looked.vector[0, 2] == 1.5).all() == estimated
+    with pytest.raises(TypeError, match=r"^estimate\(\): mean has shape \(1, 3\)"):
+        looked.renew(replace(given[0][0], mean=given[0][0].mean[:1]), given[0][1])
+
+
 def test_other_shapes_are_not_kept() -> None:
     """The estimate's, or what a step has besides; single steps neither."""
     straight, walk, steps = walked((False,) * 6)
-    stretch = Stretch(S, 2)
-    stretch.renew(*steps[0])
+    one = Stretch(S, 2)
+    one.renew(*steps[0])
     for parts, truths in (*(((*(i == j for j in range(5)), True), 4) for i in range(5)), ((False,) * 6, 3)):
         far, wide, others = walked(parts, truths)
-        assert stretch.walk(1, far, wide, 0) == 0 and not stretch.take(1, *others[0]) and stretch.count == 0
+        assert one.walk(1, far, wide, 0) == 0 and not one.take(1, *others[0]) and one.count == 0
     whole = replace(steps[0][0], mean=walk.mean[0].astype(np.float32))
-    assert not stretch.take(1, whole, steps[0][1])
-    assert stretch.walk(1, straight, walk, 0) == B
+    assert not one.take(1, whole, steps[0][1])
+    assert one.walk(1, straight, walk, 0) == B
 
 
 @pytest.mark.parametrize("shared", [False, True])
