@@ -97,8 +97,11 @@ LOSE_WHAT_IS_SINGULAR = ("filterpy-ckf", "filterpy-ukf")
 
 
 def told(out: str) -> str:
-    """What is printed, without places and numbers of many digits: some are drawn from nowhere."""
-    return re.sub(r"-?\d+\.\d{5,}(e[+-]\d+)?", "#", out.replace(str(Path.cwd()), ".").replace(f"{SUITE}/", ""))
+    """What is printed, without places, lines of the suite's own and numbers of many digits: some are drawn from
+    nowhere."""
+    text = out.replace(str(Path.cwd()), ".").replace(f"{SUITE}/", "")
+    text = re.sub(r"(benchmarks/\w+/\w+\.py):\d+", r"\1:LINE", text)
+    return re.sub(r"-?\d+\.\d{5,}(e[+-]\d+)?", "#", text)
 
 
 def plugin(folder: Path, rule: str) -> Path:

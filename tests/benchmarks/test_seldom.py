@@ -12,12 +12,17 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from railstate.benchmarks.api.results import load
+from railstate.benchmarks.commands import inspect, replay, report
+from railstate.benchmarks.commands.compare import _works_here
 from railstate.benchmarks.isolation import process
 from railstate.benchmarks.isolation.process import Ended, Isolation
 from railstate.benchmarks.planning import catalogue, plan
@@ -137,8 +142,11 @@ def test_a_place_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         raise raised
 
     monkeypatch.setattr(lock.fcntl, "lockf", lockf)
+    (tmp_path / lock.LOCK).write_text("of who died holding it\n" * 20)
     with pytest.warns(UserWarning) as heard, lock.locked(tmp_path, "railstate run"):
         assert (tmp_path / lock.LOCK).read_text().endswith("(railstate run)\n")
+        assert len((tmp_path / lock.LOCK).read_text().splitlines()) == 1
+    assert (tmp_path / lock.LOCK).read_text() == ""
     assert [str(one.message) for one in heard] == [
         f"{tmp_path}: cannot be locked there (No locks available): see that nothing else writes to it"]
     for number in (errno.EACCES, errno.EAGAIN):
@@ -242,3 +250,65 @@ def test_differences_of_nested_tables_and_times_in_words() -> None:
     begun = "2024-05-01T10:00:00+00:00"
     assert [page._period(begun, end) for end in (None, "2024-05-01T10:01:59+00:00", "2024-05-01T10:02:00+00:00")] == [
         f"2024-05-01 10:00 UTC, {text}" for text in ("not finished", "took 119 s", "took 2 min")]
+
+
+def test_files_that_are_not_what_reproduce_writes(tmp_path: Path) -> None:
+    file = tmp_path / "p.json"
+    said = f"--published {file}: has no papers; expected the published.json of railstate reproduce"
+    for text in ("{}", "[]", '["papers"]', '"papers"', '{"paper": []}'):
+        file.write_text(text)
+        assert refusal(report._published, str(file)) == said
+    file.write_text('{"papers": []}')
+    assert report._published(str(file)) == {"papers": []} and report._published("") is None
+
+
+def test_a_row_beside_the_stored_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same, another number, another status, one more number; a plug-in of another source."""
+    row = {"scenario": "s", "variant": "v", "estimator": "a", "run": 1, "status": "ok", "reason": "", "rmse:x:m": 0.5,
+           "nees:state:1": float("nan")}
+    again = pd.DataFrame([row])
+    for change, said in (({}, "bit-identical to the row in out"), ({"rmse:x:m": np.nextafter(0.5, 1)},
+            "DIFFERS from the row in out"), ({"nees:state:1": 1.0}, "DIFFERS from the row in out"), (
+            {"status": "failed", "reason": "it fell"}, "DIFFERS from the row in out, which is failed: it fell")):
+        assert replay._compared(again, again.iloc[0], pd.DataFrame([{**row, **change}]), "out") == said
+    less = pd.DataFrame([row]).drop(columns="rmse:x:m")
+    assert replay._compared(again, again.iloc[0], less, "out") == "DIFFERS from the row in out"
+    assert replay._compared(again, again.iloc[0], less.iloc[:0], "out") == "out has no such row yet"
+    for status, said in (("diverged", "bit-identical to the row in out"), ("failed", "failed like the row in out")):
+        lost = pd.DataFrame([{**row, "status": status}])
+        assert replay._compared(lost, lost.iloc[0], lost, "out") == said
+    stored = {"estimators": {"a": {"source": "old"}}}
+    monkeypatch.setattr(replay, "Store", lambda out: SimpleNamespace(manifest=lambda: {"configuration": {
+        "cells": {"s/v": stored}}}))
+    given: Any = SimpleNamespace(cells=[SimpleNamespace(key="s/v", entries={"a": SimpleNamespace(plugin="mine")})],
+                                 catalogue=SimpleNamespace(names=lambda: ["mine"], own=lambda name: False,
+                                                           source=lambda name: f"new {name}"))
+    assert refusal(replay._same_source, given, "out", "s/v", "a") == (
+        "out: a was made by a plug-in mine of another source (old; here new mine); replay needs the same one: --plugin "
+        "FILE.py")
+    stored["estimators"]["a"]["source"] = "new mine"
+    assert replay._same_source(given, "out", "s/v", "a") is None
+
+
+def test_who_works_where() -> None:
+    assert [_works_here("rap-example-1", name, 1) for name in ("kalman", "gsma", "imm-models")] == [True, False, False]
+
+
+def test_a_recording_that_sorting_does_not_mend(monkeypatch: pytest.MonkeyPatch) -> None:
+    mistakes = ["x.csv: time must increase", "x.csv: no speed"]
+    asked, wrong = list[Any](), list[str]()
+
+    def read(file: str, meaning: Any) -> Any:
+        asked.append(meaning)
+        if len(asked) <= len(mistakes):
+            raise ValueError(mistakes[len(asked) - 1])
+        return "the recording"
+
+    monkeypatch.setattr(inspect, "read_recording", read)
+    plant: Any = SimpleNamespace(meaning="as mapped", model_copy=lambda update: SimpleNamespace(meaning=update))
+    assert inspect._recording("x.csv", plant, wrong) is None and wrong == ["time must increase", "no speed"]
+    assert asked == ["as mapped", {"order": "sort", "duplicates": "first"}]
+    for left, found in ((mistakes[:1], "the recording"), (["x.csv: odd"], None), ([], "the recording")):
+        wrong.clear(), asked.clear()
+        mistakes[:] = left
+        assert inspect._recording("x.csv", plant, wrong) == found and len(wrong) == len(left)

@@ -20,7 +20,7 @@ from railstate.benchmarks.running.loop import Loop, Observer
 from railstate.benchmarks.running.machinery import Machinery
 from railstate.benchmarks.running.result import lost
 from railstate.benchmarks.store.folder import Store
-from railstate.benchmarks.store.growth import grown
+from railstate.benchmarks.store.growth import _merged, grown
 from railstate.benchmarks.store.manifest import description
 from railstate.benchmarks.studies import complete, tune, verify
 from railstate.estimators.interface import Estimate, Estimator, Innovation, Status
@@ -223,6 +223,43 @@ def test_tuning_where_every_run_is_lost(plan: Plan, monkeypatch: pytest.MonkeyPa
         tune.tune(task, [], 7)
     assert str(caught.value) == ("--over: all 7 evaluations of kalman ended infeasible, lost or over 1.23e+03 s; other "
                                  "limits may do")
+
+
+def test_why_runs_were_enough_is_kept_where_a_cell_has_the_same_runs_and_entries() -> None:
+    """Else it is gone; what is told anew counts, and other variants keep all."""
+    def manifest(runs: int, labels: str, **facts: Any) -> dict[str, Any]:
+        entries = {label: {"plugin": label} for label in labels}
+        variants = {"v": {"title": "calm", **facts}}
+        return {"configuration": {"runs": runs, "seed": 1, "cells": {"s/v": {"runs": runs, "estimators": entries}}},
+                "scenarios": {"s": {"title": "t", "variants": variants}}, "estimators": entries, "replay": {
+                    "plugins": [labels], "cells": {"s/v": {"where": "s", "entries": entries}}}}
+
+    before = manifest(5, "ab", until="rmse", level=0.95, odd=1)
+    before["scenarios"]["s"]["variants"]["w"] = {"title": "rough", "until": "x"}
+    before["scenarios"]["z"] = {"variants": {}}
+
+    def merged(now: dict[str, Any], stale: Any = ()) -> Any:
+        return _merged(before, now, dict.fromkeys(stale, ""))
+
+    told = {"until": "rmse", "level": 0.95}
+    for now, stale, kept in ((manifest(5, "ab"), (), told), (manifest(5, "a"), (), told), (manifest(6, "ab"), (), {}),
+                             (manifest(5, "abc"), (), {}), (manifest(5, "a"), [("s/v", "b")], {}),
+                             (manifest(5, "ba", level=0.9), (), {**told, "level": 0.9})):
+        found = merged(now, stale)
+        assert found["scenarios"] == {"s": {"title": "t", "variants": {
+            "v": {"title": "calm", **kept}, "w": {"title": "rough", "until": "x"}}}, "z": {"variants": {}}}
+        labels = [*dict.fromkeys([*("a" if stale else "ab"), *now["estimators"]])]
+        assert list(found["configuration"]["cells"]["s/v"]["estimators"]) == labels
+        assert list(found["replay"]["cells"]["s/v"]["entries"]) == labels
+        assert found["configuration"]["runs"] == now["configuration"]["runs"] and found["replay"]["plugins"] == list(
+            dict.fromkeys(["ab", *now["replay"]["plugins"]]))
+    new = manifest(3, "a")
+    new["configuration"]["cells"] = {"s/n": new["configuration"]["cells"]["s/v"]}
+    new["replay"]["cells"] = {"s/n": new["replay"]["cells"]["s/v"]}
+    new["scenarios"]["s"]["variants"] = {"n": {"title": "new"}}
+    found = merged(new)
+    assert found["configuration"]["runs"] == 5 and list(found["configuration"]["cells"]) == ["s/v", "s/n"]
+    assert list(found["scenarios"]["s"]["variants"]) == ["v", "w", "n"]
 
 
 def test_rows_of_other_code_cannot_be_computed_anew(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

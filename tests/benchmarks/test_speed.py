@@ -17,6 +17,7 @@ from railstate.benchmarks import speed
 from railstate.benchmarks.running.drive import drive
 from railstate.benchmarks.running.machinery import Machinery
 from railstate.benchmarks.speed import COMPARISONS, cars, cluster, measure, metro, particles, race, robust, start
+from railstate.scenarios.railway.dynamics import Forces
 
 from ..conftest import Command
 
@@ -55,6 +56,28 @@ def test_the_two_sides_estimate_the_same(name: str, monkeypatch: pytest.MonkeyPa
     for line in lines:
         assert float(line.pop("estimates differ by")) < apart, line
     expected(f"timing-{name}", pd.DataFrame(lines).to_string())
+
+
+def test_a_plain_train_s_motion_and_its_slope() -> None:
+    """With every constant of the law at work, by the formula; the Jacobian by differences."""
+    q = Forces(1.1, 20.0, 0.2, 1e-3, -3e-5, 2e-7, 0.9, 15.0, 0.3, -2e-3, 4e-5, -1e-7, 0.02, 3e-4, 6e-6)
+    train = metro.PlainMetro.__new__(metro.PlainMetro)
+    train.forces, train.origin, train.cells, train.count = q, 100.0, 0.01, 2
+    train.base, train.edge, train.jump = [0.0, 0.1, -0.2], [np.inf, 250.0, np.inf], [0.0, 0.05, 0.0]
+    for s, climb in ((50.0, 0.0), (180.0, 0.0), (240.0, 0.1), (250.0, 0.15), (310.0, -0.2), (900.0, -0.2)):
+        for v in (0.0, 3.0, 9.0, 16.0, 22.0):
+            for u in (-0.8, 0.0, 0.6):
+                V, top, c = 3.6 * v, q.brake if u < 0 else q.drive, q[7:12] if u < 0 else q[1:6]
+                W = max(V, 0.1)
+                left = min(max(c[0] / W + c[1] + c[2] * W + c[3] * W**2 + c[4] * W**3, 0.0), 1.0)
+                a = u * top * left - (q.r0 + q.r1 * V + q.r2 * V**2) - climb
+                np.testing.assert_allclose(train.f(np.array([s, v]), 0.4, u), [s + 0.4 * v + 0.08 * a, v + 0.4 * a],
+                                           rtol=1e-12)
+                if v:
+                    ends = [train.f(np.array([s, v + h]), 0.4, u) for h in (-1e-5, 1e-5)]
+                    F = train.F(np.array([s, v]), 0.4, u)
+                    np.testing.assert_allclose(F[:, 1], (ends[1] - ends[0]) / 2e-5, rtol=1e-7)
+                    assert F[:, 0].tolist() == [1.0, 0.0]
 
 
 def test_times_are_minimums_and_ratios_of_one_process() -> None:
