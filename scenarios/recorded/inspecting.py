@@ -129,7 +129,10 @@ def _with_units(table: Table, chosen: dict[str, str], quality: dict[str, float |
             continue
         if role == "time":
             if is_numeric(table, name):
-                first = float(numbers(table, name, cells_of((), _sign(table, name)))[0])
+                try:
+                    first = float(numbers(table, name, cells_of((), decimal_sign(table, [name])))[0])
+                except ValueError:  # which is said where it is read
+                    first = 0.0
                 unit = next((unit for low, high, unit in UNIX if low < first < high), "s")
                 out[role], why[role] = f"{name} [{unit}]", "supposed by its size" if unit != "s" or first > 6e8 else (
                     "supposed")
@@ -159,13 +162,6 @@ def _fitted(table: Table, out: dict[str, str], why: dict[str, str]) -> None:
                     break
         except ValueError:
             return
-
-
-def _sign(table: Table, name: str) -> str:
-    try:
-        return decimal_sign(table, [name])
-    except ValueError:
-        return "."
 
 
 def described(table: Table, clock: str) -> pd.DataFrame:

@@ -141,8 +141,6 @@ def _way(pieces: Sequence[shapely.LineString], trail: shapely.LineString, ends: 
     for piece, leads_to in way:
         line = np.asarray(pieces[piece].coords)
         corners.append(line if b[piece] == leads_to else line[::-1])
-    if len(way) > 1 and way[1][0] == first:  # the way began by the first piece itself
-        corners = corners[1:]
     return shapely.LineString(np.concatenate(corners))
 
 

@@ -245,11 +245,15 @@ def test_an_estimator_that_says_no_more_than_it_has_to() -> None:
         assert misshapen(estimate, 2, 3, 0) == said
 
 
+@pytest.mark.parametrize("swept", [True, False])
 def test_a_design_that_cannot_be_written_leaves_nothing_behind(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        swept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where what was written so far has been swept away meanwhile."""
     monkeypatch.setenv("RAILSTATE_CACHE", str(tmp_path))
 
-    def full(*_: object) -> None:
+    def full(source: str, _: object) -> None:
+        if swept:
+            os.unlink(source)
         raise OSError("no space left")
 
     with monkeypatch.context() as disk:

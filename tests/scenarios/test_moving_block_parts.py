@@ -196,6 +196,15 @@ def test_law_r_restores_the_gap() -> None:
     assert follow_acceleration(0.29, 1.2, 0.8, LAW_R) == -3.0
 
 
+@pytest.mark.parametrize("law", [LAW_P, LAW_R])
+def test_who_stands_and_knows_no_gap_stays(law: Control) -> None:
+    """As where an estimate is lost, at the very distance that is kept, and beyond it."""
+    kept = law.safe_gap + law.margin
+    assert follow_acceleration(math.nan, 0.3, 0.0, law) == 0.0
+    assert follow_acceleration(kept, 0.3, 0.0, law) == -law.braking * (law.limit if law.restoring else 1.0)
+    assert follow_acceleration(math.nextafter(kept, 1.0), 0.3, 0.0, law) == law.follow
+
+
 def test_next_speed_obeys_every_limit() -> None:
     assert next_speed(1.19, 1.6, 9.0, math.inf, LAW_P) == 1.2
     assert next_speed(0.5, 1.6, 9.0, math.inf, LAW_P) == pytest.approx(0.58)

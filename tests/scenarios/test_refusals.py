@@ -33,11 +33,13 @@ ningbo-metro plant.line.stops=[0.0,0.0] plant.line.stops=[100.0,50.0] plant.line
   faults=[{"kind":"stuck","sensors":["speed"],"from":1.0,"to":2.0,"lasts":3.0}]
   faults=[{"kind":"student-t","sensors":["speed"],"dof":3.0,"told":True}]
   faults=[{"kind":"drift","sensors":["speed"],"rate":0.1},{"kind":"drift","sensors":["speed"],"rate":0.1}]
+  sensors=5
 odometry plant.balises.positions=[10.0,12.0] plant.balises.positions=[10.0,11.9] plant.balises.platforms=[8884.0]
   plant.balises.every=500.0 plant.driver.asked=[0.0,0.8] plant.driver.asked=[-0.85,0.8] plant.driver.asked=[-0.86,0.8]
   plant.driver.courage=[1.0,0.9] plant.driver.dwell=[20.0,20.0] plant.tunnels=[[5.0,5.0]]
   plant.tunnels=[[5.0,9.0],[8.0,10.0]] plant.adhesion.friction=[0.0,0.1] plant.adhesion.friction=[0.1,0.05]
   plant.adhesion.friction=[0.05,0.05] plant.adhesion.strength=[-0.1,0.3] plant.line.gradients=[[0.0,0.15]]
+  plant.adhesion=5 plant.tunnels=5
   sensors.use=["sonar"] requirements=[{"name":"a","form":"speed","points":[[0.0,1.0],[0.0,2.0]]}]
   requirements=[{"name":"a","form":"speed","points":[[0.0,1.0],[9.0,0.0]]}]
   requirements=[{"name":"a","form":"speed","points":[[0.0,1.0],[9.0,0.5]]}]
@@ -79,6 +81,8 @@ rap-example-1 knowledge.p=[0.5,0.5] knowledge.p=[0.5,0.6] plant.P0=[["k",0.0,0.0
   plant.P0=[[[1.0]],[[1.0]]] plant.Q=[[-1.0]] plant.R=[[0.0,0.0],[0.0,0.0]] plant.R=[[1.0,0.5],[0.4,1.0]]
   plant.states=["a","a","b"] plant.A=[[1.0,None],[0.0,1.0]] channel={"kind":"bernoulli","p":0.0}
   channel={"kind":"bernoulli","p":1.0} channel={"kind":"gilbert-elliott"}
+recorded sensors.outage={"place":"windows"} sensors.outage={"place":"windows","windows":[[5.0,5.0]]}
+  sensors.outage={"windows":[[5.0,6.0]],"sensors":[]}
 """
 """Lines of a setting and KEY=VALUE, the value as Python writes it; a line that begins by a space goes on."""
 
