@@ -24,7 +24,7 @@ from .machinery import Machinery
 if TYPE_CHECKING:  # workers import this
     import pandas as pd
 
-WARM_UP, STEPS, SAMPLES, SECONDS = 5, 150, 300, 0.05
+WARM_UP, STEPS, SAMPLES, SECONDS = 5, 100, 200, 0.05
 FEW = 8
 """So many are measured in this process: others would have to start, or load their machine code, first."""
 AGREED = 1.1

@@ -125,8 +125,9 @@ class Store:
                 self._write_table(inside(self.folder / kind, f"{stem}.parquet"), table)
 
     def _write_table(self, path: Path, table: pa.Table) -> None:
-        with _whole(path) as temporary:
-            pq.write_table(table, temporary)
+        words = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
+        with _whole(path) as temporary:  # numbers that hardly repeat: dictionaries of them double the time
+            pq.write_table(table, temporary, use_dictionary=words, write_statistics=False)
 
     def write_text(self, name: str, text: str) -> None:
         """Write a text file whole or not at all. Raises InputError for a name that leads out of the folder."""

@@ -131,14 +131,14 @@ def _moments(gain, e, x, w, value, picked, count, work, out, s):
     G, P = gain[5], gain[6]
     weight, first, second = work[0], work[1], work[2]
     each = count // n  # children of one parent: g, or the one the optimal proposal has drawn
-    weight[:], first[:], second[:] = 0.0, 0.0, 0.0
-    for k in range(each):
-        for i in range(n):
-            c = i * each + k
+    for i in range(n):
+        a, b, d = 0.0, 0.0, 0.0
+        for c in range(i * each, (i + 1) * each):
             v = value[c] if each > 1 else value[picked[c]]
-            weight[i] += w[c]
-            first[i] += w[c] * v
-            second[i] += w[c] * v * v
+            a += w[c]
+            b += w[c] * v
+            d += w[c] * v * v
+        weight[i], first[i], second[i] = a, b, d
     parameter, square = 0.0, 0.0
     for i in range(n):
         parameter += first[i]

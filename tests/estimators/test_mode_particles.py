@@ -74,15 +74,28 @@ def test_exponentials_are_the_library_functions() -> None:
         assert alone[0] == out[i]
 
 
+def _walked(w: np.ndarray, keep: int, uniform: float) -> list[int]:
+    """The particle under each of the targets (uniform + j) / keep, one after the other."""
+    out, i, reached, last = [], 0, w[0], int(np.flatnonzero(w).max())
+    for j in range(keep):
+        while reached <= (uniform + j) / keep and i < last:
+            i += 1
+            reached += w[i]
+        out.append(i)
+    return out
+
+
 def test_systematic_resampling_copies_in_proportion() -> None:
     draw = np.random.default_rng(4)
-    for _ in range(200):
+    for _ in range(400):
         n, keep = draw.integers(1, 30), draw.integers(1, 60)
-        w = draw.exponential(size=n) * (draw.uniform(size=n) < 0.7)
-        w[draw.integers(n)] += 0.1
+        w = draw.choice([draw.exponential(size=n), np.ones(n)]) * (draw.uniform(size=n) < 0.7)
+        w[draw.integers(n)] += 0.1 if draw.uniform() < 0.7 else 1.0  # of equal weights sums fall upon targets
         w /= w.sum()
         index = np.empty(keep, np.int64)
-        systematic(w, n, keep, draw.choice([0.0, draw.uniform(), np.nextafter(1, 0)]), index)
+        uniform = draw.choice([0.0, draw.uniform(), np.nextafter(1, 0)])
+        systematic(w, n, keep, uniform, index)
+        assert index.tolist() == _walked(w, keep, uniform)
         copies = np.bincount(index, minlength=n)
         assert copies.sum() == keep and (copies[w == 0] == 0).all()
         assert (copies >= np.floor(keep * w - 1e-9)).all() and (copies <= np.ceil(keep * w + 1e-9)).all()
