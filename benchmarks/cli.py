@@ -95,6 +95,7 @@ def main() -> None:
             said.add(text)
             print(f"warning: {visible(text)}", file=sys.stderr)
 
+    gc.set_threshold(100_000, 50, 100)  # trees of syntax and tables are many objects, no cycles
     atexit.register(gc.freeze)  # who ends need not look for garbage first
     warnings.showwarning = warn
     kept: Sequence[int] = ()
