@@ -121,12 +121,12 @@ class InteractingModels(Estimator):
             rejected[j] = got & memory.rejected(reading, reading.ratio > self._limit)
         return measurement._replace(received=read_only(measurement.received & ~rejected))
 
-    def update(self, measurement: Measurement) -> Innovation | None:
+    def update(self, measurement: Measurement) -> Innovation:
         if self._closed is not None:
             measurement = self._gated(measurement, self._closed)
         heard = measurement.received.any(axis=0)
-        if not heard.any():
-            return None
+        if not heard.any():  # all that arrived is rejected, or nothing did
+            return Innovation(log_likelihood=np.zeros(self.runs))
         self.noise = noise_of(self.modes, measurement, self.runs)
         innovation = self.bank.update(measurement_of(measurement, self.m))
         assert innovation is not None and innovation.residual is not None and innovation.variance is not None

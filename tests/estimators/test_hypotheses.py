@@ -178,6 +178,27 @@ def test_no_batch_and_no_other_run_s_events_change_a_bit() -> None:
     np.testing.assert_array_equal(many[:, :, :1], one)
 
 
+def test_what_a_gate_lets_none_of_through_is_told_alike_in_any_company() -> None:
+    """Fixes alone, so that a step's reading may be rejected in one run, in all, or in none."""
+    told = []
+    for runs in (3, 1):
+        world, model = odometry(runs, "gnss-only")
+        gnss, estimator, logs = model.measurements.index("gnss"), InteractingModels(GATE), []
+        estimator.start(model, runs, Streams(1, "odometry", "x", range(runs))("estimator", "x"))
+        for k in range(400):
+            step = world.step(k, world.initial_mean)
+            estimator.predict(step.u, Interval(k + 1, step.start, step.length, 1.0))
+            event = step.events[-1]
+            only = np.zeros_like(event.received)
+            only[gnss] = event.received[gnss]
+            found = estimator.update(Measurement(event.y, only, k + 1, 0, step.start + step.length, event.covariance))
+            assert found.log_likelihood is not None
+            logs.append([*found.log_likelihood[:1], *only[gnss, :1], *estimator.rejected[gnss, :1]])
+        told.append(np.array(logs))
+    np.testing.assert_array_equal(*told)
+    assert (told[0][told[0][:, 2] == 1][:, 0] == 0.0).all() and 3 < told[0][:, 2].sum() < told[0][:, 1].sum() - 3
+
+
 def test_powers_of_a_transition_matrix() -> None:
     T = np.kron(np.array([[0.99, 0.01], [0.3, 0.7]]), np.array([[0.9, 0.1], [0.2, 0.8]]))
     power = power_of(T)
