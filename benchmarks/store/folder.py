@@ -127,7 +127,7 @@ class Store:
     def _write_table(self, path: Path, table: pa.Table) -> None:
         words = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
         with _whole(path) as temporary:  # numbers that hardly repeat: dictionaries of them double the time
-            pq.write_table(table, temporary, use_dictionary=words, write_statistics=False)
+            pq.write_table(table, temporary, use_dictionary=words, write_statistics=False)  # pyright: ignore
 
     def write_text(self, name: str, text: str) -> None:
         """Write a text file whole or not at all. Raises InputError for a name that leads out of the folder."""

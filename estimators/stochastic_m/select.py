@@ -48,7 +48,7 @@ def systematic(w, n, keep, uniform, index):
     """Systematic resampling: index[j] of the particle under (uniform + j) / keep. Never one of weight zero.
 
     Particle i + 1 begins at place c, the number of targets below the sum of the weights to i; a place belongs to the
-    last that has begun. Without branches that weights decide: a third of the time of walking along both."""
+    last that has begun. There is no branch that weights decide, which a processor could only guess."""
     last = n - 1
     while last > 0 and w[last] == 0.0:
         last -= 1
