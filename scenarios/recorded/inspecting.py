@@ -46,6 +46,7 @@ CLASSES: dict[str, float | str] = {
     "PSRDIFF": 1.0, "WAAS": 1.0, "SINGLE": 3.0, "PROPAGATED": "missing", "NONE": "missing", "RTK fixed": 0.05,
     "RTK float": 0.5, "differential": 1.0, "GNSS": 3.0, "none": "missing", "dead reckoning": "missing"}
 """Usual standard deviations, m, of what satellite receivers call their fixes: to start from."""
+UNITS = frozenset(unit for units in ROLES.values() for unit in units)
 UNIX = ((6e8, 4e9, "s"), (6e11, 4e12, "ms"), (6e14, 4e15, "us"), (6e17, 4e18, "ns"))
 
 
@@ -86,16 +87,16 @@ def suggested(table: Table, balises: bool = False) -> Mapping:
 
 def _role(table: Table, name: str, balises: bool) -> str:
     """What a column looks like, "" for nothing."""
-    words = [word for word in re.split(r"[^a-z0-9]+", re.sub(r"\W*[\[(].*", "", name.lower())) if word]
+    bare = re.sub(r"\W*[\[(].*", "", name)
+    head, _, unit = re.fullmatch(r"(?:(.+)(_|\sin\s))?(.*)", bare, re.DOTALL).groups()  # pyright: ignore
+    words = [word for word in re.split(r"[^a-z0-9]+", (head if head and unit in UNITS else bare).lower()) if word]
     if balises and set(words) & set(WORDS["balise"]):
         return "balise"
     if not words or set(words) & NOT:
         return ""
     dated = not is_numeric(table, name)
     for role, known in WORDS.items():
-        unit = unit_in(name, ROLES[role])
-        own = words[:-1] if unit and "_" in name and len(words) > 1 and words[-1] in ROLES[role] else words
-        if not set(own) & set(known):
+        if not set(words) & set(known):
             continue
         if role == "time":
             if not dated or _is_time(table, name):
@@ -104,7 +105,7 @@ def _role(table: Table, name: str, balises: bool) -> str:
             if not dated or not is_text(table.columns[name]) or len(pc.unique(table.columns[name])) < 12:
                 return role
         elif not dated:
-            if set(own) & REFERENCE and role in ("position", "speed"):
+            if set(words) & REFERENCE and role in ("position", "speed"):
                 return f"reference_{role}"
             return role
     return ""

@@ -32,6 +32,18 @@ def test_where_a_position_is_known_fixes_are_no_second_one(known: str) -> None:
     assert suggested(table_of("t", columns, "")).map == {"time": "time [s]", "latitude": "lat", "longitude": "lon"}
 
 
+def test_units_in_names_are_no_words_of_a_role() -> None:
+    """Seconds and kilometres are no positions by themselves; a whole name may be one."""
+    for name, role, meant in (
+            ("delay_s", "", ""), ("wagon_km", "", ""), ("delay in s", "", ""), ("v_m/s", "speed", "v_m/s"),
+            ("s_km", "position", "s_km"), ("km", "position", "km [m]"), ("s", "position", "s [m]"),
+            ("pos_gnss_m", "position", "pos_gnss_m"), ("s_ref_m", "reference_position", "s_ref_m"),
+            ("train_a", "acceleration", "train_a [m/s^2]"), ("v in km/h", "speed", "v in km/h"),
+            ("speed [km/h]", "speed", "speed [km/h]"), ("index_m", "", ""), ("odo_km", "odometer", "odo_km")):
+        found = suggested(table_of("t", {"t_s": np.arange(3.0), name: np.arange(3.0)}, "")).map
+        assert found == {"time": "t_s", **({role: meant} if role else {})}, name
+
+
 def test_which_numbers_of_a_message_are_taken() -> None:
     message = {"v": 1, "_own": 2, "header": {"seq": 3}, "valid": True, "text": "4", "list": [5.0],
                "pose": {"covariance": {"a": 6}, "stamp": 7, "x": 8.5}}
