@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -100,6 +100,6 @@ def at_step(matrix: list[Any]) -> AtStep:
 def remembered(value: Callable[[int], Value], varying: bool) -> Callable[[int], Value]:
     """`value` computed once a step, or once for all steps where it does not vary."""
     if varying:
-        return lru_cache(maxsize=None)(value)
-    once = lru_cache(maxsize=1)(lambda: value(0))
+        return cache(value)
+    once = cache(lambda: value(0))
     return lambda k: once()

@@ -67,6 +67,38 @@ def test_clean_sensors_read_the_trip() -> None:
     np.testing.assert_allclose(out.y[:, 4], way.speed[1:], atol=1e-7)
 
 
+def test_a_reader_reaches_the_further_the_faster_it_goes() -> None:
+    """Up to 150 m/s, once back by some metres: of each step's balises the last, where it is first passed."""
+    runs, steps, rng = 3, 60, np.random.default_rng(3)
+    speed = np.linspace(0.0, 150.0, steps + 1)[:, None] * np.array([1.0, 0.9, 0.2])
+    speed[30:33] = -5.0
+    place = np.cumsum(0.5 * speed, axis=0)
+    balise = {"location": [0.4, 1.0], "platform": [0.05, 0.1], "reader": [0.5, 3.0], "missed": 0.3, "detection": 0.13}
+    instruments = Instruments.model_validate({"balise": balise})
+    where = np.sort(rng.uniform(-20.0, 2400.0, 90)).tolist()
+    out = sense(Trip(place, speed, np.full(steps, 0.5), None, None), ("balise",), instruments, Route(), (where, []),
+                Streams(1, "s", "v", range(runs)))
+    again = Streams(1, "s", "v", range(runs))
+    drawn, unit = instruments.balise.draw(where, [], again("balise")), again("reader").uniform(-1.0, 1.0, len(where))
+    passed, share = np.full((steps, runs), -1), np.ones((steps, runs))
+    for run in range(runs):
+        furthest = [max(place[:k + 1, run]) for k in range(steps + 1)]
+        for j, at in enumerate(where):
+            near = next((k for k in range(steps + 1) if furthest[k] >= at), steps)
+            kmh = min(max(3.6 * speed[near, run], 40.0), 500.0)
+            at += unit[j, run] * (0.5 + 2.5 * (kmh - 40.0) / 460.0)
+            k = next((k for k in range(steps + 1) if furthest[k] >= at), 0)
+            if k and drawn.read[j, run]:
+                passed[k - 1, run] = j
+                share[k - 1, run] = (at - furthest[k - 1]) / (furthest[k] - furthest[k - 1])
+    np.testing.assert_array_equal(out.passed, passed)
+    np.testing.assert_allclose(out.share, share, rtol=1e-9)
+    assert (passed >= 0).sum() > 40 and not drawn.read.all()
+    told = np.where(passed >= 0, np.take_along_axis(drawn.told, np.maximum(passed, 0), axis=0), out.y[:, 0])
+    np.testing.assert_array_equal(out.y[:, 0], told)
+    np.testing.assert_array_equal(out.there[:, 0], passed >= 0)
+
+
 def test_wheels_slip_under_the_force_that_the_trip_takes() -> None:
     """Traction is the first axle's alone, braking both axles'; what the rail bears keeps to micro-slip."""
     way = trip()
