@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from railstate.estimators.interface import Estimator, Status
+from railstate.estimators.mode_grid import known_states
 from railstate.estimators.reference.particle_loop import particle_loop
 from railstate.estimators.stochastic_m.estimators import GroupStochasticM, RaoBlackwellizedParticle, StochasticM
 from railstate.scenarios.braking.setting import Braking
@@ -91,6 +92,28 @@ def test_factorised_equals_full(setting: Braking, kind: type, parameters: dict[s
     factorised, full = (follow(kind({**parameters, "form": form}), model, world, runs, 60) for form in FORMS)
     for one, other in zip(factorised, full, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "parameters"), [FAMILY[0], FAMILY[6]])
+def test_factorised_equals_full_wherever_known_states_act(setting: Braking, kind: type,
+                                                          parameters: dict[str, Any]) -> None:
+    """What is known exactly, and the input, also move the others whatever the mode is, and are in the readings."""
+    runs, rng = range(3), np.random.default_rng(2)
+    world = setting.world(streams(runs))
+    model = setting.design_model({}, world.initial_mean)
+    grid = grid_of(model, "the test")
+    known = known_states(grid, model.initial_covariance[:, :, 0])
+    assert known.tolist() == [False, False, False, True]
+    A, B, C = grid.A.copy(), grid.B.copy(), grid.C.copy()
+    A[:, ~known, 3] += rng.uniform(0.5, 1.0, 3)
+    B[:, ~known, 0] += rng.uniform(0.5, 1.0, 3)
+    C[:, 3] += 0.7
+    own = replace(model, modes=grid_modes(replace(grid, A=A, B=B, C=C), model))
+    found = [follow(kind({**parameters, "form": form}), own, world, runs, 8) for form in FORMS]
+    plain = follow(kind(parameters), model, world, runs, 8)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+    assert np.abs(found[0][0] - plain[0]).max() > 1e-3
 
 
 @family
