@@ -94,6 +94,35 @@ def test_what_run_is_told(railstate: Command, monkeypatch: pytest.MonkeyPatch) -
     assert shown == [("print_results", 1), ("print_results", 2), ("print_results_json", 4)]
 
 
+def test_what_tune_is_told(railstate: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of a task, and how many evaluations: 30 for each number, 100 at the most, or as many as are asked for."""
+    told = list[Any]()
+
+    def tune(task: Any, axes: Any, budget: int) -> Any:
+        told.append((task, [axis.keys for axis in axes], budget))
+        raise InputError("no more")
+
+    monkeypatch.setattr(import_module("railstate.benchmarks.commands.tune"), "tune", tune)
+    keys = [f"parameters.{name}" for name in ("alpha", "beta", "kappa", "x")]
+    for many, more, budget in ((1, (), 30), (3, (), 90), (4, (), 100), (1, ("--budget", 120), 120)):
+        words = ",".join(f"{key}=0.5..1" for key in keys[:many])
+        assert railstate("tune", "cart.toml", "--estimator", "ukf", "--over", words, "--objective", "rmse:speed",
+                         *more).err == "error: no more\n"
+        task, axes, allowed = told.pop()
+        assert axes == [(key,) for key in keys[:many]] and allowed == budget
+        assert (task.name, task.variant, task.label, task.fixed, task.objective) == (
+            "cart.toml", "calm", "ukf", {}, (("rmse", "speed"),))
+        assert (task.runs, task.seed, task.subject_to, task.beside, task.limit) == (100, 1, (), (), 0.0)
+    assert railstate(*TUNE, "--objective", "rmse:position,mae:speed", "--runs", 7, "--seed", 3, "--subject-to",
+                     "nees:state=0.8..1.25", "--beside", "kalman,ekf", "--limit", 2.5, "--set",
+                     "channel.p=0.5").err == "error: no more\n"
+    task, _, _ = told.pop()
+    assert (task.name, task.variant, task.fixed, task.runs, task.seed, task.limit, task.beside) == (
+        "cart.toml", "calm", {"channel.p": 0.5}, 7, 3, 2.5, ("kalman", "ekf"))
+    assert [(one.metric, one.quantity, one.low, one.high) for one in task.subject_to] == [("nees", "state", 0.8, 1.25)]
+    assert task.objective == (("rmse", "position"), ("mae", "speed"))
+
+
 def test_what_a_recording_means(railstate: Command) -> None:
     none = ("", "", "", "", "", None, None, [])
     place = str(Path("cart.toml").resolve())

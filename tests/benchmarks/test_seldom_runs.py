@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import threadpoolctl
+from railstate.benchmarks import speed
 from railstate.benchmarks.planning.plan import Plan, make_plan
-from railstate.benchmarks.running import execute, isolated
+from railstate.benchmarks.running import execute, isolated, latency
 from railstate.benchmarks.running.loop import Loop, Observer
 from railstate.benchmarks.running.machinery import Machinery
 from railstate.benchmarks.running.result import lost
@@ -130,6 +132,21 @@ def test_input_that_a_process_refuses(plan: Plan, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(isolated, "estimators", dict)
     (found,) = isolated._narrowed(task, process, isolated.Losses())
     assert found.rows.equals(lost(task, Status.failed, "no file x").rows)
+
+
+def test_what_is_timed_and_computed_has_one_thread(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = list[int]()
+
+    def limits(threads: int) -> Any:
+        told.append(threads)
+        raise InputError("no more")
+
+    monkeypatch.setattr(threadpoolctl, "threadpool_limits", limits)
+    for call in (lambda: speed._lines("metro", 1), lambda: latency.measure(plan.cells[0], "kalman", 1),
+                 lambda: execute.execute(plan.task(plan.cells[0], ("kalman",), (0,)))):
+        with pytest.raises(InputError, match=r"^no more$"):
+            call()
+    assert told == [1, 1, 1]
 
 
 class World:
@@ -304,7 +321,8 @@ def test_a_folder_whose_code_moved_or_that_cannot_be_written(plan: Plan, tmp_pat
     stored = json.loads(json.dumps(plan.configuration(), default=str))
     store.folder.mkdir()
     store.open(stored, description(plan), "railstate run")
-    assert grown(store, plan).stale == {}
+    text = (store.folder / "manifest.json").read_text()
+    assert grown(store, plan).stale == {} and text == json.dumps(json.loads(text), indent=1)
     for moved, words in ((("scoring",), "scoring"), (("setting", "scoring"), "setting and the scoring")):
         for name in moved:
             stored["cells"]["rap-example-1/corrected"][name] = "other"

@@ -135,3 +135,19 @@ def test_colours_and_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_columns_of_what_is_no_terminal(columns: int, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     assert console.columns() == most
+
+
+def test_one_column_that_is_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch,
+                                                    capsys: pytest.CaptureFixture[str]) -> None:
+    """It is cut to what there is, and never under 8 letters; others go beneath, beside the first once more."""
+    for width, size in ((20, 15), (13, 8), (9, 8)):
+        monkeypatch.setattr(console, "columns", lambda width=width: width)
+        console.print_columns(console.Column(["", "a"], [[("abc", "")]]), [
+            console.Column(["x" * 30], [[("y" * 30, "")]], right=True), console.Column(["b"], [[("z", "")]])])
+        first, second = capsys.readouterr().out.split("\n\n")
+        lines = [text.rstrip() for text in first.splitlines()]
+        assert lines[:2] == ["", "a    " + "x" * size], lines
+        assert lines[2] == "─" * min(width, 3 + console.GAP + size)
+        assert "".join("".join(lines[3:]).split()) == "abc" + "y" * 30
+        assert max(map(len, lines[3:])) == 3 + console.GAP + size
+        assert [text.rstrip() for text in second.splitlines()] == ["", "a    b", "──────", "abc  z"]

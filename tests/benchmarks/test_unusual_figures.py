@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.scoring.columns import PHASES
-from railstate.benchmarks.telling.figures import catalogue
+from railstate.benchmarks.telling.figures import catalogue, data, moving_block, requirements, trust
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, Figure, of_scenario
 from railstate.benchmarks.telling.figures.data import CROWD, CellResults, Curve, Kept, Results, assign_styles
+from railstate.benchmarks.telling.report import plots
+from railstate.scenarios.errors import InputError
 
 from ..expected import figure
 from .test_worded import line
@@ -137,3 +139,33 @@ def test_which_settings_have_a_figure_of_their_own(results: Results, monkeypatch
     monkeypatch.setattr(catalogue, "FIGURES", some)
     assert [figure.name for figure, *_ in catalogue.drawn(results)] == ["a"] * 6 + ["b"] * 6
     assert {figure.name for figure, *_ in catalogue.drawn(results, "b")} == {"b"}
+
+
+def test_what_there_is_nothing_to_draw_of(results: Results) -> None:
+    """No time at which a sum counts, no claim known, no kept run; a drawing of the page is empty likewise."""
+    cell = results.scenarios["ningbo-metro"][0]
+    label, ranking = cell.ran[0], cell.rankings[0]
+    none = replace(cell, curves={}, kept={})
+    sums = {name: Curve(T, values, values, values, values) for name, values in (
+        ("lost", 0 * T), ("unknown", np.where(T > 0, np.nan, T)), ("exact", np.ones(300)))}
+    for name in ("lost", "unknown"):
+        dead = replace(sums[name], active=np.ones(300) if name == "unknown" else 0 * T)
+        one = replace(none, curves={(label, "nis"): dead, (label, ranking.quantity): dead})
+        assert trust.nis_over_time(one) is None and plots.curves(one, ranking) == ("", 0)
+    exact = replace(sums["exact"], squared=0 * T)
+    assert plots.curves(replace(none, curves={(label, ranking.quantity): exact}), ranking) == ("", 0)
+    assert plots.curves(none, ranking) == ("", 0)
+    assert moving_block.trains_over_time([none]) is None and moving_block.gap_over_time(none) is None
+    asked = {"name": "near", "form": "confidence"}
+    rows = cell.rows.assign(**{"half-width:near:m": 1.0, "inside:near:1": np.nan})
+    assert requirements.width_against_misses(replace(none, rows=rows, table={"requirements": [asked]})) is None
+    assert requirements.width_against_misses(replace(none, rows=rows.assign(**{"inside:near:1": 0.9}), table={
+        "requirements": [asked]})) is not None
+    rows = results.rows[results.rows["scenario"] != "braking-rate"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(data.Store, "rows", lambda store: rows)
+        patch.setattr(data, "verdicts_of", lambda store: results.verdicts)
+        with pytest.raises(InputError) as caught:
+            data.load_results(results.folder)
+    assert str(caught.value) == (f"{results.folder}: verdicts.parquet tells of braking-rate/paper, and no rows are "
+                                 "there; remove it")

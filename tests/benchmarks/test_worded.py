@@ -5,6 +5,7 @@ Every number is written down here; nothing is simulated or judged."""
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from railstate.benchmarks.commands.tune import _remarks
+from railstate.benchmarks.telling import sentences
 from railstate.benchmarks.telling.estimators import record
 from railstate.benchmarks.telling.figures.data import assign_styles
 from railstate.benchmarks.telling.figures.swept import over_key
@@ -22,8 +24,9 @@ from railstate.benchmarks.telling.rankings import Cell, Ranking, cells_of
 from railstate.benchmarks.telling.report import plots
 from railstate.benchmarks.telling.report.matrix import View, _tally
 from railstate.benchmarks.telling.report.tuned import tuned_table
-from railstate.benchmarks.telling.sentences import finding, short_finding
+from railstate.benchmarks.telling.sentences import finding, least, short_finding
 from railstate.benchmarks.telling.tables import cell_table, outage_tables, phase_tables, window_tables
+from railstate.benchmarks.telling.wording import change
 
 ABOUT = {"variants": {"v": {"title": "calm", "notes": []}}, "quantities": ["position"],
          "table": [["rmse", "position"], ["nees", "state"], ["headway", "headway-65"], ["violations", "late"]]}
@@ -121,6 +124,46 @@ def test_a_finding_in_short_and_in_full() -> None:
         "after every entry that finished. Floor 0.900 cm: a reaches 90.0 %.")
     none = cell(E, lost("e", 40))
     assert short_finding(none, none.rankings[0]) == "Position: no entry finished a run."
+
+
+def test_what_of_smoothers_and_of_none_that_finished_is_said() -> None:
+    smooth = line("s", 0.005, 0.0001, **ratio(1.0, 1.0, 1.0, "best"), against="s")
+    both = Ranking.of([A, D, smooth], {"s"})
+    made = replace(cell(A, D, smooth, *map(lost, "ads")), smoothers=frozenset("s"))
+    assert short_finding(made, both) == (
+        "Position: best a; worse 1 of 2, d 2.0 times; floor 0.900 cm, best at 90.0 % of it; of the smoothers s.")
+    assert least(both) == "RMSE of position: a has the least, 1.00 cm."
+    none = Ranking.of([E])
+    assert finding(cell(E, lost("e", 40)), none) == "Position: no entry finished a run."
+    assert least(none) == "RMSE of position: no entry finished a run."
+    assert [change({"ratio": value}) for value in (np.nan, np.inf, 2.0, 1.995, 1.0, 0.9)] == [
+        "–", "∞", "2.0 times", "+100 %", "±0.0 %", "−10 %"]
+    endless = replace_all(A, B, ratio=np.inf)
+    assert plots._ratios(Ranking.of([A, B]), endless, 10) == "" == plots._ratios(none, [E], 10)
+
+
+@pytest.mark.parametrize(("n", "compared"), [((1, 1, 1, 1), "4 comparisons"), ((2, 2, 2, 2), "8 comparisons"),
+                                             ((1, 0, 0, 0), "1 comparison"), ((0, 1, 2, 0), "3 comparisons")])
+def test_numbers_of_words_over_a_folder(n: tuple[int, ...], compared: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    worse, tie, undecided, gone = n
+    claims = {"claim too sure": n[0], "claim too cautious": n[1], "claim consistent": n[2], "claim not certified": n[3]}
+    found = {"worse": worse, "tie": tie, "undecided": undecided, "lost": gone, "rows": 12345, "lost runs": 1234}
+    monkeypatch.setattr(sentences, "counts", lambda cells: Counter({**found, **claims}))
+    first, second = sentences.over_all([], worse)
+    assert first == (
+        f"At {worse} {'run' if worse == 1 else 'runs'}, of {compared} with the best of their setting {worse} "
+        f"{'is' if worse == 1 else 'are'} worse, {tie} {'ties' if tie == 1 else 'tie'} within 1 % and {undecided} "
+        f"{'is' if undecided == 1 else 'are'} undecided{f'; {gone} lost runs' if gone else ''}.")
+    assert second == ("Lost runs: 1,234 of 12,345. "
+                      f"Of {sum(n)} covariance {'claim' if sum(n) == 1 else 'claims'} {n[0]} are too sure, "
+                      f"{n[1]} too unsure, {n[2]} consistent, 0 undecided"
+                      f"{f', {n[3]} not certified' if n[3] else ''}.")
+    monkeypatch.setattr(sentences, "counts", lambda cells: Counter(found))
+    assert sentences.over_all([], 1)[1] == "Lost runs: 1,234 of 12,345."
+
+
+def replace_all(*lines: dict[str, Any], **facts: Any) -> list[dict[str, Any]]:
+    return [{**one, **facts} for one in lines]
 
 
 @pytest.mark.parametrize(("facts", "said"), [

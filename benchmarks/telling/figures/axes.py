@@ -127,8 +127,8 @@ class Panel:
     whole: x counts something, so its ticks are whole numbers."""
 
     def __init__(self, canvas: Canvas, left: float, top: float, width: float, height: float, x: Scale, y: Scale, *,
-                 title: str = "", x_label: str = "", y_label: str = "", x_ticks: bool = True,
-                 y_ticks: bool = True, whole: bool = False) -> None:
+                 title: str = "", x_label: str = "", x_ticks: bool = True, y_ticks: bool = True,
+                 whole: bool = False) -> None:
         self.canvas, self.x, self.y = canvas, x, y
         self.left, self.top, self.width, self.height = left, top, width, height
         bottom = top + height
@@ -157,8 +157,6 @@ class Panel:
         if x_label:
             middle = min(left + width / 2, canvas.width - text_width(x_label) / 2)
             canvas.text(middle, bottom + (19 if x_ticks else 10), x_label, anchor="middle", colour="muted")
-        if y_label:
-            canvas.text(left - 29, top + height / 2, y_label, anchor="middle", colour="muted", turned=True)
 
     def _across(self, value: float) -> float:
         return self.left + float(self.x.share(value)) * self.width
@@ -193,12 +191,10 @@ class Panel:
             outline = np.concatenate([self.points(xs[good], high[good]), self.points(xs[good], low[good])[::-1]])
             self.canvas.path(outline, stroke=None, fill=colour, opacity=opacity)
 
-    def level(self, value: float, text: str = "", *, colour: str = "muted", dash: tuple[float, ...] = (2, 2)) -> None:
-        """A horizontal line across, with a text above its right end."""
+    def level(self, value: float, *, colour: str = "muted", dash: tuple[float, ...] = (2, 2)) -> None:
+        """A horizontal line across."""
         at = self._down(value)
         self.canvas.path([(self.left, at), (self.left + self.width, at)], stroke=colour, width=0.7, dash=dash)
-        if text:
-            self.canvas.text(self.left + self.width - 2, at - 2, text, anchor="end", colour=colour, size=FONT - 1)
 
     def names(self, xs: ArrayLike, texts: Sequence[str]) -> None:
         """Words under the x axis where it has no numbers."""

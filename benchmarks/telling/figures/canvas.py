@@ -62,7 +62,6 @@ class _Text:
     anchor: Anchor
     colour: str
     bold: bool
-    turned: bool
 
 
 @dataclass
@@ -88,9 +87,9 @@ class Canvas:
             self.items.append(_Path(array, colour, size, (), None, 1.0, "", dots=True))
 
     def text(self, x: float, y: float, text: str, *, size: float = FONT, anchor: Anchor = "start",
-             colour: str = "ink", bold: bool = False, turned: bool = False) -> None:
-        """A text with its baseline at (x, y); `turned` reads upwards."""
-        self.items.append(_Text(x, y, text, size, anchor, colour, bold, turned))
+             colour: str = "ink", bold: bool = False) -> None:
+        """A text with its baseline at (x, y)."""
+        self.items.append(_Text(x, y, text, size, anchor, colour, bold))
 
     def svg(self, *, inline: bool = False) -> str:
         """The figure as an SVG element: inline with the page's CSS colours, otherwise a file with its own.
@@ -162,8 +161,7 @@ def _svg_text(item: _Text, colours: dict[str, str]) -> tuple[str, str, str]:
         style += f' text-anchor="{item.anchor}"'
     if item.bold:
         style += ' font-weight="600"'
-    turned = f' transform="rotate(-90 {x} {y})"' if item.turned else ""
-    return "text", style, f' x="{x}" y="{y}"{turned}>{escape(item.text)}</text>'
+    return "text", style, f' x="{x}" y="{y}">{escape(item.text)}</text>'
 
 
 def _save_with_matplotlib(canvas: Canvas, path: Path) -> None:
@@ -183,8 +181,8 @@ def _save_with_matplotlib(canvas: Canvas, path: Path) -> None:
                     "start": "left", "middle": "center", "end": "right"}
                 across = align[item.anchor]
                 axes.text(item.x, item.y, item.text.replace("$", r"\$"), fontsize=item.size * 0.95,
-                          color=LIGHT[item.colour], va="baseline", ha=across, rotation=90 if item.turned else 0,
-                          rotation_mode="anchor", fontweight="bold" if item.bold else "normal", zorder=order)
+                          color=LIGHT[item.colour], va="baseline", ha=across,
+                          fontweight="bold" if item.bold else "normal", zorder=order)
                 continue
             dash = (0, tuple(part / item.width for part in item.dash)) if item.dash else "solid"
             if item.dots:
