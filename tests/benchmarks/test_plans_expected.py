@@ -37,7 +37,9 @@ PLANS: list[tuple[list[str], dict[str, Any]]] = [
     (["rap-example-1"], {"entries": {"mine": {"plugin": "kalman", "late": "drop"}}, "only": ["mine"]}),
     (["rap-example-1"], {"overrides": {"channel": {"kind": "bernoulli", "p": 0.5}}, "only": ["kalman"]}),
     (["ningbo-metro/fault-*"], {"overrides": {"faults.outliers.share": 0.5}, "only": ["ekf"]}),
-    (["rap-example-1"], {"overrides": {"estimators.kalman.parameters": {"x": 1}}, "only": ["kalman"]})]
+    (["rap-example-1"], {"overrides": {"estimators.kalman.parameters": {"x": 1}}, "only": ["kalman"]}),
+    (["some.toml"], {"only": ["special"]}), (["some.toml/calm"], {"only": ["special"]}),
+    (["some.toml/*"], {"overrides": {"channel.p": 0.5}, "only": ["ekf"]})]
 
 
 def said(call: Callable[[], str]) -> str:
@@ -62,6 +64,8 @@ def test_plans(expected: Expected, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     Path("cart.toml").write_text(SCENARIO)
     Path("twin.toml").write_text(SCENARIO.replace("a cart on a line", "the same cart"))
     Path("other.toml").write_text(SCENARIO.replace("steps = 40", "steps = 41"))
+    Path("some.toml").write_text(SCENARIO + '[variants.rough]\nchannel = { kind = "delay", steps = 2 }\n'
+                                 '[variants.rough.estimators.special]\nplugin = "kalman"\n')
     Path("half.py").write_text(PLUGIN)
     out = [f"{names} {given}\n{said(lambda names=names, given=given: of(make_plan(names, **given)))}"
            for names, given in PLANS]
