@@ -162,6 +162,15 @@ def test_numbers_of_words_over_a_folder(n: tuple[int, ...], compared: str, monke
     assert sentences.over_all([], 1)[1] == "Lost runs: 1,234 of 12,345."
 
 
+@pytest.mark.parametrize(("families", "said"), [
+    ((1, 1), "± is half of the 95 % interval. "), ((0,), "± is half of the 95 % interval. "),
+    ((2, 1), "± and [ ] are 95 %: ± of the entry alone, [ ] of the ratio to the best over the same runs, simultaneous "
+             "over all pairs of the 2 entries; the verdict follows [ ]. ")])
+def test_what_a_table_s_signs_mean(families: tuple[int, ...], said: str) -> None:
+    found = sentences.caption(cell(*({**A, "family": family} for family in families), lost("a")))
+    assert found == f"{said}40 runs."
+
+
 def replace_all(*lines: dict[str, Any], **facts: Any) -> list[dict[str, Any]]:
     return [{**one, **facts} for one in lines]
 
