@@ -178,6 +178,17 @@ def test_places_of_origins_lead_to_keys() -> None:
     assert [path for path, there in found.items() if there] == ["entries", "entries.two.size", "names.a.b"]
 
 
+def test_a_stray_origin_is_told_where_all_variants_can_be_read(tmp_path: Path) -> None:
+    """A variant that nobody asked for and that is wrong might have had the key."""
+    text = ('name = "mine"\nbase = "rap-example-1/corrected"\norigin = { "plant.nowhere" = "a book" }\n'
+            "variants.one.plant.x0 = [1.0, 0.0, 0.0]\nvariants.two.plant.x0 = ")
+    (tmp_path / "wrong.toml").write_text(text + '"far"')
+    (tmp_path / "right.toml").write_text(text + "[2.0, 0.0, 0.0]")
+    assert load(str(tmp_path / "wrong.toml"), {}, "one").setting("one").config.plant.x0 == [1.0, 0.0, 0.0]
+    with refused(f"{tmp_path}/right.toml: origin.plant.nowhere: names no key of this scenario"):
+        load(str(tmp_path / "right.toml"), {}, "one")
+
+
 def test_a_file_that_is_no_text(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_bytes(b"name = \"\xff\"\n")
     with refused(f"{tmp_path}/a.toml: cannot be read: 'utf-8' codec can't decode byte 0xff in position 8: invalid "
