@@ -312,7 +312,9 @@ def test_another_verdict_is_exit_code_1_and_names_the_cell(
     Path("published").mkdir()
     Path("published/zou-rap.toml").write_text(text.replace("published = 12.0978", "published = 12.2", 1))
     monkeypatch.setattr(files, "FOLDER", Path("published"))
-    done = railstate("reproduce", "zou-rap", "--out", "pub")
+    done = railstate("reproduce", "zou-rap", "--out", "some/where/pub")
+    assert {path.name for path in Path("some/where/pub").iterdir()} == {f"published.{kind}" for kind in (
+        "csv", "json", "md", "tex")}
     assert done.code == 1 and "mu_1: not reproduced, expected corrected" in done.out
 
 

@@ -55,6 +55,10 @@ accept = 0.5
     done = railstate("sweep", "cart.toml", "--plugin", "half.py", "--over", "channel.p=0.3,0.9", "--over",
                      "time.period=1.0,2.0", "--runs", 12, "--estimators", "ekf,kalman", "--jobs", 1, "--out", "swept")
     assert done.code == 0, done.err
+    whole = pd.read_csv(railstate.folder / "swept" / "sweep.csv")
+    each = pd.read_csv(railstate.folder / "swept" / "channel.p=0.3,time.period=1.0" / "verdicts.csv")
+    assert list(whole) == ["channel.p", "time.period", *each]
+    pd.testing.assert_frame_equal(whole.iloc[:len(each), 2:], each, check_dtype=False)
     table = pd.read_csv(railstate.folder / "swept" / "requirements.csv")
     keys = ["requirement", "channel.p", "time.period", "estimator"]
     met = {point: {"wide": "met", "none": "not met"}[str(point[0])] for point in itertools.product(
