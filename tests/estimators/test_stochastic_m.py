@@ -16,6 +16,7 @@ from railstate.estimators.stochastic_m.estimators import GroupStochasticM, RaoBl
 from railstate.scenarios.braking.setting import Braking
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Measurement
 from railstate.scenarios.model import DesignModel, grid_modes, grid_of
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.world import Trajectory
@@ -130,6 +131,30 @@ def test_runs_do_not_depend_on_the_batch(kind: type, parameters: dict[str, Any],
     for size in (7, 40):
         for alone, together in zip(results[1], results[size], strict=True):
             np.testing.assert_array_equal(alone, together)
+
+
+@both_forms
+def test_two_runs_whose_sensors_tell_their_own_accuracy(setting: Braking, form: str) -> None:
+    """Each as if it were alone."""
+    world = setting.world(streams(range(2)))
+    model = setting.design_model({}, world.initial_mean)
+    grid = grid_of(model, "the test")
+    told = replace(model, measurement_covariance=lambda measurement: measurement.covariance)
+    own = np.ascontiguousarray(np.stack([grid.R, 9.0 * grid.R], axis=2))
+
+    def went(runs: list[int]) -> np.ndarray:
+        alone = replace(told, initial_mean=np.ascontiguousarray(told.initial_mean[:, runs]))
+        estimator = GroupStochasticM({"form": form})
+        estimator.design(alone)
+        estimator.start(alone, len(runs), streams(runs)("estimator", "x"))
+        for k in range(6):
+            estimator.predict(np.ascontiguousarray(world.u[k][:, runs]), whole(k))
+            estimator.update(Measurement(world.y[k][:, runs], world.received[k][:, runs], k + 1, 0, k + 1.0,
+                                         own[:, :, runs]))
+        return estimator.estimate().mean
+
+    both = went([0, 1])
+    np.testing.assert_array_equal(both, np.hstack([went([0]), went([1])]))
 
 
 @both_forms

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from railstate.scenarios.aboard.sensing import Trip
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval
 from railstate.scenarios.railway.adhesion import Adhesion
+from railstate.scenarios.railway.dynamics import GRAVITY
 from railstate.scenarios.randomness import Streams
 
 from ..conftest import Command
@@ -42,6 +44,17 @@ def trip(runs: int = 2) -> Trip:
     speed = np.minimum(10.0, np.minimum(np.arange(81) * 0.5, np.maximum(40.0 - np.arange(81) * 0.5, 0.0)))
     place = np.concatenate([[0.0], np.cumsum(0.25 * (speed[1:] + speed[:-1]))])
     return Trip(np.repeat(place[:, None], runs, axis=1), np.repeat(speed[:, None], runs, axis=1), lengths, None, None)
+
+
+def test_a_gradient_begins_where_the_line_says() -> None:
+    """At its edge too; the map's errors are those of the section that the train is in."""
+    at, gradients = np.array([0.0, 50.0, 100.0, 249.9, 250.0, 400.0]), [0.01, -0.02, 0.03]
+    error = np.array([1.0, 2.0, 4.0])
+    line = SimpleNamespace(gradients=list(zip([0.0, 100.0, 250.0], gradients, strict=True)))
+    way = Trip(np.concatenate([[0.0], at])[:, None], np.ones((7, 1)), np.ones(6), line, None)  # pyright: ignore
+    section = [0, 0, 1, 1, 2, 2]
+    np.testing.assert_array_equal(way.climb()[:, 0], GRAVITY * np.array(gradients)[section])
+    np.testing.assert_array_equal(way.climb(error[:, None])[:, 0], GRAVITY * (np.array(gradients) + error)[section])
 
 
 def test_clean_sensors_read_the_trip() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from railstate.benchmarks.store.folder import Store
 from railstate.scenarios.files import load
+from railstate.scenarios.odometry import plant
 from railstate.scenarios.odometry.world import OdometryWorld
 from railstate.scenarios.randomness import Streams
 from railstate.scenarios.sensors.gnss import fixes
@@ -29,6 +30,21 @@ def world(variant: str, runs: int | tuple[int, ...] = 100, seed: int = 1, **over
     numbers = tuple(range(runs)) if isinstance(runs, int) else runs
     setting = load("odometry", {key.replace("__", "."): value for key, value in overrides.items()}).setting(variant)
     return setting.world(Streams(seed, "odometry", variant, numbers))
+
+
+def test_a_driver_keeps_under_each_lower_limit_ahead_and_stands_at_the_stop() -> None:
+    """The speed wanted is the least of what may be driven here and of what leaves room to brake, metre by metre."""
+    edge, top, share, braking = np.array([0.0, 300.0, 500.0, 900.0]), np.array([20.0, 25.0, 9.0, 15.0]), 0.95, 0.6
+    for stop in (450.0, 1200.0):
+        for s in np.arange(0.0, stop + 2.0, 0.25):
+            limit = int(np.flatnonzero(edge <= s).max())
+            here = share * min(top[limit], 22.0)
+            ahead = [(share * top[i], edge[i] - s) for i in range(limit + 1, 4)
+                     if edge[i] < stop and top[i] < top[limit]]
+            wanted = min([here, (2 * braking * max(stop - s, 0.0)) ** 0.5,
+                          *((v**2 + 2 * braking * room) ** 0.5 for v, room in ahead)])
+            found = plant._reference.py_func(s, 0.0, share, braking, stop, edge, top, limit, 22.0)  # pyright: ignore
+            assert found == pytest.approx((wanted, here), abs=1e-12)
 
 
 def quiet_numbers(variant: str, **overrides: object) -> tuple[float, ...]:
