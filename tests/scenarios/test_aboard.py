@@ -173,7 +173,11 @@ def test_a_balise_is_an_event_inside_its_step() -> None:
         seen += int(who.sum())
     assert seen == 4 * len(metro(("speed", "balise")).config.plant.balises.on(metro(("speed",)).config.plant.line)[0])
     assert len(world.step(0, world.initial_mean).events) == 1
-    assert {"since-reference", "reference-error"} <= set(world.extra)
+    told, place = world.reference[:, 0], world.reference[:, 1]  # pyright: ignore
+    known = world.received[:, 1].cumsum(axis=0) > 0
+    assert (np.isnan(told) == ~known).all() and 0.01 < np.abs(told - place)[known].max() < 2.0
+    np.testing.assert_array_equal(world.extra["reference-error"], told - place)
+    np.testing.assert_array_equal(world.extra["since-reference"], world.truth[:, 0] - place)
 
 
 def test_the_model_that_hears_agrees_with_differences() -> None:
