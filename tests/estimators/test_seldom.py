@@ -75,6 +75,35 @@ def test_a_walk_that_fails_fails_as_its_steps_do(label: str) -> None:
     assert np.isfinite(walk.mean[:, :, [0, 2]]).all()
 
 
+def test_dead_reckoning_set_anew_on_a_walk_is_its_steps() -> None:
+    """By readings in whole steps, which built-in trips do not have: each run by its own, or by none."""
+    entry, model = told_model("dr-minmax", 3)
+    steps, rng, place = 6, np.random.default_rng(1), model.measurements.index("balise")
+    received = np.zeros((steps, model.ny, 3), dtype=bool)
+    received[1, place, 0] = received[3, place] = received[4, place, 2] = True
+    variance = np.full((steps, model.ny, 3), np.nan)
+    variance[3, place, 1] = 7.0
+    inputs = np.zeros((steps, 11, 3))
+    inputs[:, 3:5] = rng.uniform(0.5, 4.0, (steps, 2, 3))
+    course = Course(1, model.period, model.period * np.arange(1.0, steps + 1), inputs,
+                    rng.normal(50.0, 5.0, (steps, model.ny, 3)), received, variance)
+    walked, stepped = (estimator_class(entry.plugin, "dr")(entry.parameters) for _ in range(2))
+    for estimator in (walked, stepped):
+        estimator.design(model)
+        estimator.start(model, 3, random(3))
+    walk = walked.walk(course, False)
+    assert walk is not None
+    for b in range(steps):
+        stepped.predict(course.u[b], whole(b, model.period))
+        covariance = np.full((model.ny, model.ny, 3), np.nan)
+        covariance[np.arange(model.ny), np.arange(model.ny)] = variance[b]
+        stepped.update(Measurement(course.y[b], received[b], b + 1, 0, course.times[b], covariance))
+        found = stepped.estimate()
+        np.testing.assert_array_equal(walk.mean[b], found.mean)
+        np.testing.assert_array_equal(walk.covariance[b], found.covariance)  # pyright: ignore
+        np.testing.assert_array_equal(walk.mean[b, 0, received[b, place]], course.y[b, place, received[b, place]])
+
+
 def test_who_else_goes_step_by_step() -> None:
     """A filter made of another, and modes one of which is made of other functions."""
     entry, model = told_model("student-t", 1)

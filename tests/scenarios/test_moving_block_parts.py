@@ -16,6 +16,7 @@ from railstate.scenarios.moving_block.control import (
     next_speed,
     speed_for_stop,
 )
+from railstate.scenarios.moving_block.motion import reading
 from railstate.scenarios.moving_block.track import StadiumTrack
 from railstate.scenarios.randomness import Streams
 
@@ -289,3 +290,23 @@ def test_what_bounds_every_estimator_on_the_ring() -> None:
     ({"kind": "delay", "steps": 1, "loss": {"kind": "round-robin"}}, False)])
 def test_a_channel_that_parts_x_from_y_leaves_no_bound(channel: dict[str, object], known: bool) -> None:
     assert (load("moving-block", {"channel": channel}).setting("law-p").matched(1) is not None) == known
+
+
+def test_two_trains_tags_are_read_in_their_order() -> None:
+    """At the start of a step, at one instant (the leader's first), by one train alone or by none."""
+    shares = [-1.0, 0.0, 0.3, 0.3, 0.9]
+    share = np.array([(a, b) for a in shares for b in shares]).T.copy()
+    runs = share.shape[1]
+    tag = np.stack([np.arange(runs) % 3, np.arange(runs) % 2])
+    places = np.arange(12.0).reshape(2, 2, 3)  # x or y, train, tag
+    for number in (0, 1):
+        until, y, received = np.ones(runs), np.zeros((4, runs)), np.zeros((4, runs), dtype=bool)
+        reading(number, share, tag, *places, until, y, received)
+        for run in range(runs):
+            order = sorted((share[train, run], train) for train in (0, 1) if share[train, run] >= 0)
+            wanted, at = np.zeros(4), 1.0
+            if number < len(order):
+                at, train = order[number]
+                wanted[2 * train:2 * train + 2] = places[:, train, tag[train, run]]
+            assert until[run] == at and y[:, run].tolist() == wanted.tolist()
+            assert received[:, run].tolist() == [number < len(order) and order[number][1] == j // 2 for j in range(4)]
