@@ -339,3 +339,11 @@ def test_a_folder_whose_code_moved_or_that_cannot_be_written(plan: Plan, tmp_pat
         complete.complete(plan, store.folder, Machinery(1), "c")
     assert str(ended.value) == (f"interrupted: 3 rows are in {store.folder}; the same command continues "
                                 f"(add --out {store.folder})")
+
+
+@pytest.mark.parametrize(("number", "more"), [(5, ""), (7, " and 2 more")])
+def test_five_of_what_is_computed_anew_are_named(number: int, more: str) -> None:
+    growth = SimpleNamespace(plan=SimpleNamespace(cells=()), stale={("s", f"e{i}"): "it moved" for i in range(number)})
+    with pytest.warns(UserWarning) as said:
+        complete._drop(SimpleNamespace(folder="f", drop=len), growth, ())  # pyright: ignore
+    assert str(said[0].message) == f"f: it moved, computed anew: s/e0, s/e1, s/e2, s/e3, s/e4{more}"

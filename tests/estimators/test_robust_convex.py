@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -14,11 +15,12 @@ from railstate.estimators.robust.estimators import RobustBounded, RobustEllipsoi
 from railstate.estimators.robust.fast import recursive_step
 from railstate.estimators.robust.memoryless import memoryless_step
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Measurement
 from railstate.scenarios.randomness import Streams
 
 from ..models import heard, part
 from .test_robust import A as plant_A
-from .test_robust import G, admissible, follow, model, started
+from .test_robust import G, T, admissible, follow, model, started
 
 PROBLEMS = 100
 FREE = 1e6
@@ -206,6 +208,28 @@ def test_metro_trajectories(cls: Any) -> None:
     assert k > 200
     assert fast.extremes()["contraction"] == pytest.approx(slow.extremes()["contraction"], abs=1e-4)
     assert fast.status[0] == slow.status[0] == Status.ok
+
+
+def test_runs_whose_sensors_tell_their_own_accuracy() -> None:
+    """Of three runs, two disturbances and two sensors, both solvers; each run as if it were alone."""
+    _, ys, _ = admissible(3, 4)
+    own = np.stack([np.diag([0.3, 0.05]), np.diag([1.5, 0.4]), np.diag([0.1, 2.0])], axis=2)
+
+    def went(runs: list[int], solver: str) -> list[np.ndarray]:
+        told = replace(model(len(runs)), measurement_covariance=lambda measurement: measurement.covariance)
+        estimator, out = started(RobustMeanSquare, told, solver=solver), []
+        for k, y in enumerate(ys):
+            estimator.predict(np.zeros((0, len(runs))), part(k, 1.0, T))
+            estimator.update(Measurement(y[:, runs], np.ones((2, len(runs)), bool), k + 1, 0, k + 1.0,
+                                         np.ascontiguousarray(own[:, :, runs])))
+            out.append(estimator.estimate().mean.copy())
+        return out
+
+    fast, convex = went([0, 1, 2], "fast"), went([0, 1, 2], "cvxpy")
+    np.testing.assert_allclose(fast, convex, atol=1e-5)
+    assert np.abs(fast[0]).min() > 1e-3
+    alone = [np.hstack(each) for each in zip(*(went([run], "fast") for run in range(3)), strict=True)]
+    np.testing.assert_array_equal(fast, alone)
 
 
 def test_f1_claims_the_theorem_s_bound_and_keeps_it() -> None:
