@@ -44,7 +44,7 @@ def test_files_and_their_columns(railstate: Command) -> None:
     summary, timing = pd.read_csv(out / "summary.csv"), pd.read_csv(out / "timing.csv")
     assert tuple(summary.columns) == SUMMARY and tuple(timing.columns) == TIMING
     assert (timing["latency_us_p99"] >= timing["latency_us_median"]).all() and (timing["throughput_ns"] > 0).all()
-    assert (timing["samples"] >= 300).all()
+    assert (timing["samples"] >= 200).all()
     part = frame[frame["variant"] == "rough"]["rmse:position:m"].to_numpy()
     line = summary.query("variant == 'rough' and metric == 'rmse' and quantity == 'position'").iloc[0]
     assert line["mean"] == pytest.approx(np.sqrt(np.mean(part**2)), rel=1e-12) and line["runs"] == 12
