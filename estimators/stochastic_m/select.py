@@ -52,7 +52,8 @@ def systematic(w, n, keep, uniform, index):
     last = n - 1
     while last > 0 and w[last] == 0.0:
         last -= 1
-    begins = np.zeros(keep + 1, np.int64)
+    for j in range(keep):
+        index[j] = 0
     reached = 0.0
     for i in range(last):
         reached += w[i]
@@ -63,11 +64,10 @@ def systematic(w, n, keep, uniform, index):
                 c -= 1
             while c < keep and (uniform + c) / keep < reached:
                 c += 1
-        begins[c] = i + 1
-    latest = 0
-    for j in range(keep):
-        latest = max(latest, begins[j])
-        index[j] = latest
+        if c < keep:
+            index[c] = i + 1
+    for j in range(1, keep):
+        index[j] = max(index[j], index[j - 1])
 
 
 @njit(cache=True)

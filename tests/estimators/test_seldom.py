@@ -16,7 +16,7 @@ import pytest
 from cvxpy.error import SolverError
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.estimators import design_cache
-from railstate.estimators.interface import Estimate, Estimator, Status, misshapen
+from railstate.estimators.interface import Estimate, Estimator, Status, Walk, misshapen
 from railstate.estimators.mode_grid import known_states, sensor_noise
 from railstate.estimators.multiple_model.hypotheses import InteractingModels
 from railstate.estimators.outliers.heavy_tails import StudentKalman
@@ -46,6 +46,25 @@ def told_model(label: str, runs: int) -> tuple[Any, DesignModel]:
     return entry, setting.told(entry.knowledge, {}, np.zeros((2, runs)))
 
 
+def both_ways(entry: Any, label: str, model: DesignModel, course: Course) -> tuple[Estimator, Walk, Estimator]:
+    """Who has walked a course of three runs, what came of it, and who has gone it step by step to the same bits."""
+    walked, stepped = (estimator_class(entry.plugin, label)(entry.parameters) for _ in range(2))
+    for estimator in (walked, stepped):
+        estimator.design(model)
+        estimator.start(model, 3, random(3))
+    walk = walked.walk(course, False)
+    assert walk is not None
+    for b, variance in enumerate(course.told):
+        stepped.predict(course.u[b], whole(b, model.period))
+        covariance = np.full((model.ny, model.ny, 3), np.nan)
+        covariance[np.arange(model.ny), np.arange(model.ny)] = variance
+        stepped.update(Measurement(course.y[b], course.received[b], b + 1, 0, course.times[b], covariance))
+        found = stepped.estimate()
+        np.testing.assert_array_equal(walk.mean[b], found.mean)
+        np.testing.assert_array_equal(walk.covariance[b], found.covariance)  # pyright: ignore
+    return walked, walk, stepped
+
+
 @pytest.mark.parametrize("label", ["ekf-scale", "ekf-gated", "student-t", "imm-slip"])
 def test_a_walk_that_fails_fails_as_its_steps_do(label: str) -> None:
     """Readings that tell a negative variance: their run alone is lost, with the reason, and stays so."""
@@ -55,20 +74,7 @@ def test_a_walk_that_fails_fails_as_its_steps_do(label: str) -> None:
     variance[1, :, 1] = -1e6
     course = Course(1, model.period, model.period * np.arange(1.0, steps + 1), np.zeros((steps, 11, 3)),
                     rng.normal(0.0, 0.01, (steps, model.ny, 3)), np.ones((steps, model.ny, 3), dtype=bool), variance)
-    walked, stepped = (estimator_class(entry.plugin, label)(entry.parameters) for _ in range(2))
-    for estimator in (walked, stepped):
-        estimator.design(model)
-        estimator.start(model, 3, RunRandom(1, ("a", "b", "c"), range(3)))
-    walk = walked.walk(course, False)
-    assert walk is not None
-    for b in range(steps):
-        stepped.predict(course.u[b], whole(b, model.period))
-        covariance = np.full((model.ny, model.ny, 3), np.nan)
-        covariance[np.arange(model.ny), np.arange(model.ny)] = variance[b]
-        stepped.update(Measurement(course.y[b], course.received[b], b + 1, 0, course.times[b], covariance))
-        found = stepped.estimate()
-        np.testing.assert_array_equal(walk.mean[b], found.mean)
-        np.testing.assert_array_equal(walk.covariance[b], found.covariance)  # pyright: ignore
+    walked, walk, stepped = both_ways(entry, label, model, course)
     assert walked.status.tolist() == stepped.status.tolist() == [Status.ok, Status.failed, Status.ok]
     assert walked.reasons == stepped.reasons == {
         1: "all modes became impossible" if label == "imm-slip" else SINGULAR}
@@ -87,20 +93,8 @@ def test_dead_reckoning_set_anew_on_a_walk_is_its_steps() -> None:
     inputs[:, 3:5] = rng.uniform(0.5, 4.0, (steps, 2, 3))
     course = Course(1, model.period, model.period * np.arange(1.0, steps + 1), inputs,
                     rng.normal(50.0, 5.0, (steps, model.ny, 3)), received, variance)
-    walked, stepped = (estimator_class(entry.plugin, "dr")(entry.parameters) for _ in range(2))
-    for estimator in (walked, stepped):
-        estimator.design(model)
-        estimator.start(model, 3, random(3))
-    walk = walked.walk(course, False)
-    assert walk is not None
+    _, walk, _ = both_ways(entry, "dr-minmax", model, course)
     for b in range(steps):
-        stepped.predict(course.u[b], whole(b, model.period))
-        covariance = np.full((model.ny, model.ny, 3), np.nan)
-        covariance[np.arange(model.ny), np.arange(model.ny)] = variance[b]
-        stepped.update(Measurement(course.y[b], received[b], b + 1, 0, course.times[b], covariance))
-        found = stepped.estimate()
-        np.testing.assert_array_equal(walk.mean[b], found.mean)
-        np.testing.assert_array_equal(walk.covariance[b], found.covariance)  # pyright: ignore
         np.testing.assert_array_equal(walk.mean[b, 0, received[b, place]], course.y[b, place, received[b, place]])
 
 
