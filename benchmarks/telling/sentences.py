@@ -59,7 +59,8 @@ def over_all(cells: Sequence[Cell], runs: int) -> list[str]:
     claims = {word: n[f"claim {word}"] for word in ("too sure", "too cautious", "consistent", "undecided",
                                                     "not certified")}
     if sum(claims.values()):
-        second += (f" Of {counted(sum(claims.values()), 'covariance claim')} {claims['too sure']} are too sure, "
+        second += (f" Of {counted(sum(claims.values()), 'covariance claim')} {claims['too sure']} "
+                   f"{'is' if claims['too sure'] == 1 else 'are'} too sure, "
                    f"{claims['too cautious']} too unsure, {claims['consistent']} consistent, {claims['undecided']} "
                    f"undecided{f', {loose} not certified' if (loose := claims['not certified']) else ''}.")
     return [first, second]

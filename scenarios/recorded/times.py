@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from ..arrays import Array, Index
 from .columns import Cells, Column, is_numeric, is_text, need_unit, numbers
 from .readers import Table
+from .readers.table import cause
 
 ISO = r"^\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d+)?)?)?\s*(Z|z|UTC|[-+]\d\d(:?\d\d)?)?$"
 ZONE = r"(Z|z|UTC|\d:?\d\d[.,\d]*\s*[-+]\d\d(:?\d\d)?)$"
@@ -79,7 +80,7 @@ def _written(table: Table, name: str, cells: Cells) -> tuple[Array, str]:
     try:
         stamps = pd.to_datetime(plain.to_pandas(), format="ISO8601", utc=True)
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"{table.path}: time \"{name}\": {str(error).splitlines()[0]}") from None
+        raise ValueError(f"{table.path}: time \"{name}\": {cause(error)}") from None
     ticks = pa.array(stamps.dt.as_unit("ns"), from_pandas=True)
     since = _since_first(pa.chunked_array([pc.cast(ticks, pa.int64())]), 1e-9)
     return since, "ISO 8601 with zone" if every else "ISO 8601 without zone"
