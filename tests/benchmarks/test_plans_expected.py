@@ -49,7 +49,7 @@ def said(call: Callable[[], str]) -> str:
             text = call()
         except InputError as error:
             text = f"error: {error}"
-    return "\n".join([text, *(f"warning: {one.message}" for one in heard)])
+    return "\n".join([text, *(f"warning of {Path(one.filename).name}: {one.message}" for one in heard)])
 
 
 def of(plan: Plan) -> str:

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from railstate.benchmarks.published.computed import zou2018
+from railstate.benchmarks.published.computed import base, faruqi2019, zou2018
 from railstate.benchmarks.published.rows import Book, Found, ratio, reduction, root
 from railstate.scenarios.errors import Infeasible, InputError
+from railstate.scenarios.randomness import Streams
 
 NAN = np.nan
+NONE: Any = None
 
 
 def same(found: Found, value: float, error: float, spread: float, runs: list[float]) -> None:
@@ -79,3 +81,21 @@ def test_what_is_asked_of_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     for found in (none, lambda forces: (SimpleNamespace(bound=np.inf),)):
         monkeypatch.setattr(zou2018, "_certificates", found)
         assert zou2018.zou_solvable(book) == Found(0.0)
+
+
+@pytest.mark.parametrize(("gain", "ratio"), [(-1.0, NAN), (-0.2501, NAN), (-0.25, -0.5), (-0.16, -0.2), (0.0, 0.0),
+                                             (0.75, 0.5), (2.0, 1.0), (6.0, 2.0)])
+def test_the_follower_s_ratio(gain: float, ratio: float) -> None:
+    """The greater root of x^2 + x = k_acc, where there is one."""
+    assert faruqi2019.follower_ratio(NONE, gain).value == pytest.approx(ratio, rel=1e-12, nan_ok=True)
+
+
+def test_a_variant_s_design_model_starts_as_its_run_0_of_seed_0(monkeypatch: pytest.MonkeyPatch) -> None:
+    def setting(variant: str) -> Any:
+        return SimpleNamespace(
+            world=lambda streams: SimpleNamespace(initial_mean=("start", streams("truth").normal(1).tolist())),
+            design_model=lambda told, start: (variant, told, *start))
+
+    monkeypatch.setattr(base, "load", lambda name, overrides: SimpleNamespace(setting=setting))
+    drawn = Streams(0, "s", "v", (0,))("truth").normal(1).tolist()
+    assert base.model_of.__wrapped__("s", "v", (("k", 1),)) == ("v", {}, "start", drawn)

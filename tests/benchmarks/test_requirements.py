@@ -128,14 +128,15 @@ def test_claims_and_percentiles(ellipsoid: bool) -> None:
 
 
 def test_a_stop_is_the_last_step_of_each_run_whatever_else_counts() -> None:
-    truth, error, _, _ = random_case()
-    scores = RequirementScores([asked(form="stop", within=0.5)], QUANTITIES, 3, 10)
-    steps = [(Estimate(truth[k] + error[k]), Step(np.zeros((0, 3)), (), truth[k], np.array([k < 4, True, k < 7]),
-                                                  np.zeros((2, 3), dtype=bool))) for k in range(10)]
+    """One ends with its first step."""
+    truth, error, _, _ = random_case(4)
+    scores = RequirementScores([asked(form="stop", within=0.5)], QUANTITIES, 4, 10)
+    steps = [(Estimate(truth[k] + error[k]), Step(np.zeros((0, 4)), (), truth[k], np.array([
+        k < 4, True, k < 7, k < 1]), np.zeros((2, 4), dtype=bool))) for k in range(10)]
     for stretch in stretches(steps, [4, 4, 4]):
         scores.add(stretch, 0)
     found = scores.finish()
-    final = np.abs([error[3, 0, 0], error[9, 0, 1], error[6, 0, 2]])
+    final = np.abs([error[3, 0, 0], error[9, 0, 1], error[6, 0, 2], error[0, 0, 3]])
     np.testing.assert_allclose(found["error", "it", "m"], final)
     np.testing.assert_array_equal(found["kept", "it", "1"], (final <= 0.5).astype(float))
     assert np.isnan(found["p95", "position", "m"]).all()

@@ -10,7 +10,7 @@ import pytest
 from railstate.benchmarks.judging.selection import Aligned
 from railstate.benchmarks.telling import sentences, wording
 from railstate.benchmarks.telling.figures.data import Results
-from railstate.benchmarks.telling.marks import drawn
+from railstate.benchmarks.telling.marks import MARKS, drawn, mark, shade
 from railstate.benchmarks.telling.rankings import Cell, Ranking
 
 
@@ -142,3 +142,18 @@ def test_percentages_never_round_to_certainty(share: float, text: str) -> None:
                                              (0, "0"), (float("inf"), "∞"), (-2.5, "−2.50")])
 def test_numbers_have_few_digits(value: float, text: str) -> None:
     assert wording.number(value) == text
+
+
+@pytest.mark.parametrize(("word", "eligible", "shown"), [
+    *((word, True, word) for word in ("best", "worse", "tie", "undecided", "oracle", "lost", "met", "kept")),
+    *((word, False, "lost") for word in ("best", "worse", "undecided", "lost", "")), ("none", True, ""),
+    ("none", False, ""), ("", True, "")])
+def test_how_a_verdict_is_drawn(word: str, eligible: bool, shown: str) -> None:
+    one = {"verdict": word, "eligible": eligible, "ratio": 1.05}
+    assert (drawn(one), mark(one)) == (shown, MARKS[shown])
+    assert shade(one) == ("w1" if shown == "worse" else MARKS[shown].css)
+
+
+def test_shades_of_what_is_worse() -> None:
+    assert [shade(line(ratio, eligible=True)) for ratio in (1.01, 1.0999, 1.1, 1.9999, 2.0, np.inf)] == [
+        "w1", "w1", "w2", "w2", "w3", "w3"]
