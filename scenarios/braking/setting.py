@@ -118,5 +118,5 @@ class Braking(Setting[BrakingConfig]):
         """A constant bias of each sensor; f itself is a state where knowledge.model says so."""
         rows = self._believed(self.resolve_knowledge(knowledge))[1]
         return {f"{name}-bias": (Extra(f"{name}-bias", "m" if state == 0 else "m/s" if state == 1 else "m/s^2",
-                                       "constant", float(np.sqrt(variance)), column=column),)
-                for (name, state, variance), column in zip(rows, np.eye(len(rows)), strict=True)}
+                                       "constant", float(np.sqrt(variance)), column=np.eye(len(rows))[row]),)
+                for row, (name, state, variance) in enumerate(rows)}

@@ -59,8 +59,7 @@ class Gnss(Strict):
 
 def fixes(every: float, period: float, steps: int) -> np.ndarray:
     """The steps at whose end something is read that comes every so many seconds."""
-    count = int(np.floor(steps * period / every + 1e-9))
-    at = np.ceil(np.arange(1, count + 1) * every / period - 1e-9).astype(np.int64) - 1
+    at = np.ceil(np.arange(1, int(steps * period / every) + 2) * every / period - 1e-9).astype(np.int64) - 1
     return np.unique(at[at < steps])
 
 

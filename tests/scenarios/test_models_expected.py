@@ -15,6 +15,7 @@ from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, Measurement, untold
 from railstate.scenarios.model import DesignModel, Inclusion, Linear
 from railstate.scenarios.randomness import Streams
+from railstate.scenarios.setting import Setting
 from railstate.scenarios.world import Step
 
 from ..benchmarks.test_expected import SHORT
@@ -112,6 +113,15 @@ def told(model: DesignModel, step: Step) -> list[str]:
     return lines
 
 
+def bound(setting: Setting[Any], step: Step) -> list[str]:
+    """The model that bounds every estimator, where there is one."""
+    found = setting.matched(len(RUNS))
+    if found is None:
+        return []
+    more = [f"outward {digest(found.outward(step.truth))}"] if found.outward else []
+    return [f"matched {found.kind}", *content("beyond", found.beyond), *more, *told(found.model, step)]
+
+
 def test_what_every_estimator_is_told(expected: Callable[[str, str], None]) -> None:
     """Of each how many lines, and those that none before it in its scenario has."""
     out = list[str]()
@@ -135,5 +145,9 @@ def test_what_every_estimator_is_told(expected: Callable[[str, str], None]) -> N
                     lines = [str(error)]
                 more = [line for line in dict.fromkeys([*lines, *who]) if line not in seen]
                 out += [f"  {label}: {len(lines)}", *(f"    {line}" for line in more)]
+                seen.update(more)
+            for what, lines in (("sensing", content("", setting.sensing())), ("bound", bound(setting, step))):
+                more = [line for line in dict.fromkeys(lines) if line not in seen]
+                out += [f"  {what}", *(f"    {line}" for line in more)] if more else []
                 seen.update(more)
     expected("models", "\n".join(out))

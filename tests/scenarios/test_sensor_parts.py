@@ -114,6 +114,7 @@ def test_satellites(irregular: bool) -> None:
 def test_when_fixes_come() -> None:
     assert fixes(1.0, 0.5, 1).tolist() == [] and fixes(1.0, 0.5, 4).tolist() == [1, 3]
     assert fixes(0.3, 0.1, 9).tolist() == [2, 5, 8] and fixes(0.25, 0.1, 5).tolist() == [2, 4]
+    assert fixes(1 + 0.8e-9, 1.0, 3).tolist() == [0, 2] and fixes(1 + 1.2e-9, 1.0, 3).tolist() == [1, 2]
     assert ends(1.0, np.array([0.5, 1.0, 1.6, 2.0])).tolist() == [1, 3]
     assert ends(1.0, np.array([0.5, 1.2, 3.5, 3.9])).tolist() == [1, 2]
     assert ends(1.0, np.array([0.5, 0.9])).tolist() == []

@@ -22,7 +22,7 @@ def read_mf4(path: Path) -> Table:
                 values = np.asarray(signal.samples)
                 if values.ndim == 1 and values.dtype.kind in "iuf" and len(values):
                     name = signal.name if signal.name not in series else f"{signal.name} #{len(series)}"
-                    series[name] = np.round(np.asarray(signal.timestamps, dtype=float), 9), values.astype(float)
+                    series[name] = np.round(signal.timestamps, 9), values.astype(float)
                     if signal.unit:
                         units[name] = signal.unit
     except (MdfException, OSError, ValueError, KeyError, IndexError) as error:
