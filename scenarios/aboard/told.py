@@ -147,8 +147,7 @@ class _Hearing:
         if form is None:
             return None
         rows = np.zeros((len(self.rows), self.nx))
-        for row, (state, _) in zip(rows, self.rows, strict=True):
-            row[state] = 1.0
+        rows[:, 0] = 1.0
         n = len(self.model.measurements)
 
         def R(k: int) -> Array:

@@ -68,11 +68,11 @@ class TwoTrains:
         noise_sd = sensors.encoder.noise_sd * math.sqrt(sensors.encoder.noise_period / self.period)
         self.factor = 1 + bias + noise_sd * measurement.normal(self.steps, 2)
 
-        zeros = np.zeros((2, runs))
+        zeros = np.zeros_like(start)
         tails = np.full((self.line.delay + 1, runs), trains.start[0] - trains.length)
         self.memory = Memory(start.copy(), zeros.copy(), zeros.copy(), start.copy(), zeros.copy(), zeros.copy(),
-                             zeros.copy(), np.full((2, runs), -1), np.zeros((2, runs), dtype=np.int64),
-                             np.zeros((2, runs), dtype=np.int64), np.full((2, runs), np.nan), tails)
+                             zeros.copy(), np.full_like(start, -1, dtype=np.int64), zeros.astype(np.int64),
+                             zeros.astype(np.int64), np.full_like(start, np.nan), tails)
         self.active = np.ones(runs, dtype=bool)
         self._before = self.initial_mean, np.zeros((4, runs), dtype=bool)
         self.records = Records(np.full((self.steps, 6, runs), np.nan), np.full((self.steps, 8, runs), np.nan),
@@ -99,7 +99,7 @@ class TwoTrains:
     def _tags(config: MovingBlockConfig, track: StadiumTrack, start: Array, passes: int) -> tuple[Array, Array, Array]:
         """Arc lengths (2, passes) of the tags in the order each train meets them, and their map positions."""
         count = config.sensors.tags.count
-        all_tags = (np.arange(-count, passes) + 0.5) * track.length / count
+        all_tags = (np.arange(-count, passes + count) + 0.5) * track.length / count
         met = np.stack([all_tags[all_tags > start[train, 0]][:passes] for train in range(2)])
         x, y, _ = track.points(met)
         return met, x, y

@@ -71,11 +71,10 @@ def compared(time: Array, one: Array, other: Array, least: float = LEAST) -> tup
     there = np.flatnonzero(np.isfinite(one) & np.isfinite(other))
     if len(there) < 4:
         return np.nan, np.nan
-    cuts = np.unique(there[np.searchsorted(time[there], np.linspace(time[there[0]], time[there[-1]], PARTS + 1)).clip(
-        0, len(there) - 1)])
+    cuts = np.unique(there[np.searchsorted(time[there], np.linspace(time[there[0]], time[there[-1]], PARTS + 1))])
     a, b = np.diff(one[cuts]), np.diff(other[cuts])
     moved = np.maximum(np.abs(a), np.abs(b))
-    use = moved > 0.02 * moved.max(initial=0.0)
+    use = moved > 0.02 * moved.max()
     if use.sum() < 3 or np.abs(a).sum() < 1e-3 * least or np.abs(b).sum() < 1e-3 * least or moved.sum() < least:
         return np.nan, np.nan
     a, b = a[use], b[use]

@@ -27,12 +27,9 @@ class Finding:
 
 def spans(time: Array, rows: Index) -> list[tuple[float, float]]:
     """The times of these rows as (from, to) in whole s, those near to each other as one."""
-    if not len(rows):
-        return []
     at = time[rows]
-    cut = np.flatnonzero(np.diff(at) > APART)
-    begins, ends = np.concatenate([[0], cut + 1]), np.concatenate([cut, [len(at) - 1]])
-    return [(float(floor(at[a])), float(ceil(at[b]))) for a, b in zip(begins, ends, strict=True)]
+    parts = np.split(at, np.flatnonzero(np.diff(at) > APART) + 1) if len(at) else []
+    return [(float(floor(part[0])), float(ceil(part[-1]))) for part in parts]
 
 
 def leave_out(time: Array, rows: Index) -> str:

@@ -121,7 +121,7 @@ def told(time: Array, counts: Sequence[Array], heard: Sequence[Mask], there: Mas
     # rows of events between two counts share what was rolled between these, by time, as parts of a step do
     after = np.searchsorted(rows, np.arange(len(time)), side="right").clip(1, len(rows) - 1)
     a, b = rows[after - 1], rows[after]
-    inside = np.flatnonzero(~there & (a < np.arange(len(time))) & (np.arange(len(time)) < b) & (
+    inside = np.flatnonzero((a < np.arange(len(time))) & (np.arange(len(time)) < b) & (
         time[b] - time[a] <= EVENT * np.median(np.diff(time[rows]))))
     a, b = a[inside], b[inside]
     part = ((time[inside] - time[a]) / (time[b] - time[a]))[:, None]

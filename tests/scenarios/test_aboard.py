@@ -31,7 +31,7 @@ CLEAN = Instruments.model_validate({
 
 
 def metro(use: tuple[str, ...], **overrides: Any) -> Any:
-    return load("ningbo-metro", {"sensors.use": list(use), **overrides}).setting("gaussian")
+    return load("ningbo-metro", {"sensors.use": list(use), **overrides}, only="gaussian").setting("gaussian")
 
 
 def worlds(use: tuple[str, ...], runs: int = 3, **overrides: Any) -> Any:
@@ -210,6 +210,14 @@ def test_the_model_that_hears_agrees_with_differences() -> None:
                                             (1 + x[5]) * x[1]]))
     same = setting.design_model({}, np.array([[100.0], [10.0]]))
     assert hearing(same, (), setting.config.sensors, 0.1) is same
+
+
+def test_what_is_noted_of_sliding() -> None:
+    """Of each axle where wheels are aboard and may slip."""
+    for use, slippery, noted in ((("speed",), True, False), (("speed", "wheel-a"), False, False),
+                                 (("speed", "balise"), True, True)):
+        extra = worlds(use, 1, **({"plant.adhesion": {"open": 0.1}} if slippery else {})).extra
+        assert ({"slide-a", "slide-b"} <= set(extra)) == noted == ("slide-a" in extra)
 
 
 @pytest.mark.parametrize("use", [("speed", "balise"), ("balise", "radar"), ("wheel-a", "wheel-b", "balise"), EVERY])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from railstate.benchmarks.store.folder import Store
 from railstate.scenarios.files import load
+from railstate.scenarios.measurement import Interval
 from railstate.scenarios.odometry import plant
 from railstate.scenarios.odometry.world import OdometryWorld
 from railstate.scenarios.randomness import Streams
@@ -305,3 +306,16 @@ def test_a_world_lasts_a_twentieth_longer_than_the_slowest_trip(least: int) -> N
     made = world("dry", 2, time__steps=least, **driver)
     trip = made.ride.active.sum(axis=0)
     assert trip[0] == trip[1] and made.steps == max(least, int(np.ceil(1.05 * trip[0])))
+
+
+def test_whole_numbers_are_states_like_others() -> None:
+    for motion in ("accelerometer", "minmax"):
+        chosen = load("odometry", {"knowledge.motion": motion}).setting("wet-radar")
+        model = chosen.design_model({}, np.array([[100], [10]]))
+        x, u = np.arange(2 * model.nx).reshape(model.nx, 2), np.arange(14.0).reshape(7, 2)
+        assert model.transition_jacobian is not None and model.measurement_jacobian is not None
+        for share in (1.0, np.array([0.5, 1.0])):
+            over = Interval(3, 0.2, 0.1 * share, share)
+            np.testing.assert_array_equal(model.transition(x, u, over), model.transition(1.0 * x, u, over))
+        np.testing.assert_array_equal(model.measurement(x, 3), model.measurement(1.0 * x, 3))
+        np.testing.assert_array_equal(model.measurement_jacobian(x, 3), model.measurement_jacobian(1.0 * x, 3))

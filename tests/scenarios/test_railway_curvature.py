@@ -1,10 +1,12 @@
-"""The bound on how far da/dv changes, against force curves sampled densely: any curve, speed and width."""
+"""The bound on how far da/dv changes, against force curves sampled densely: any curve, speed and width; and where rails
+are low by rule."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from railstate.scenarios.railway.curvature import pieces, slope_change
+from railstate.scenarios.railway.adhesion import Adhesion
+from railstate.scenarios.railway.curvature import SLOWEST, pieces, slope_change
 from railstate.scenarios.railway.dynamics import Forces
 
 CURVES = {
@@ -45,3 +47,30 @@ def test_bound_of_the_slope_s_change(name: str) -> None:
         ends = v[r] + e[r] * np.linspace(-1, 1, 2001)
         sampled = 0.2 * np.abs(slope(ends) - slope(v[[r]])).max()
         assert sampled - 1e-7 <= out[r] <= sampled * (1 + 5e-3) + 1e-6, (v[r], e[r], u[r])
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_pieces_of_a_curve(name: str) -> None:
+    """Edges where it is 0 or 1, and between them which pieces follow it, by going along it."""
+    curve = CURVES[name]
+    found = pieces(Forces(1.1, *curve, 0.9, *CURVES["both"], 0.02, 6e-4, 1.7e-5))
+    V = np.linspace(SLOWEST, 400.0, 400_001)
+    share = curve[0] / V + curve[1] + curve[2] * V + curve[3] * V**2 + curve[4] * V**3
+    bends = (share > 0) & (share < 1)
+    change = np.flatnonzero((bends[1:] != bends[:-1]) | ((share[1:] > 0) != (share[:-1] > 0)))
+    np.testing.assert_allclose(found.drive, [SLOWEST, *V[change]], atol=2e-3)
+    places = [V[0] / 2, *((a + b) / 2 for a, b in zip(found.drive[:-1], found.drive[1:], strict=True)), 399.9]
+    assert found.drive_bends.tolist() == [False, *(bool(bends[np.searchsorted(V, place)]) for place in places[1:])]
+    other = pieces(Forces(1.1, *CURVES["none left at speed"], 0.9, *curve, 0.02, 6e-4, 1.7e-5))
+    assert np.array_equal(other.brake, found.drive) and np.array_equal(other.brake_bends, found.drive_bends)
+
+
+@pytest.mark.parametrize(("stops", "low"), [
+    ([0.0, 1000.0, 2000.0, 3000.0], [[30, 220], [590, 830], [2030, 2220], [2590, 2830]]),
+    ([0.0, 1000.0, 2000.0], [[30, 220], [1030, 1220], [1590, 1830]]),
+    ([0.0, 410.0], [[30, 220]]), ([0.0, 410.5], [[30, 220], [0.5, 240.5]]), ([0.0, 220.0], []),
+    ([0.0, 220.5, 1000.0], [[30, 220], [250.5, 440.5], [590, 830]])])
+def test_low_stretches_by_rule(stops: list[float], low: list[list[float]]) -> None:
+    """In turn before a stop, the last always, and after it, where there is room between it and the next."""
+    assert Adhesion(low="stops").stretches(stops) == low
+    assert Adhesion(low=[[1.0, 2.0]]).stretches(stops) == [[1.0, 2.0]] and Adhesion().stretches(stops) == []

@@ -163,17 +163,22 @@ def test_the_model_s_jacobian_and_its_intervals(recording, motion, shortfall):
         assert np.allclose(F @ a @ F.T + b, both, rtol=1e-12)
 
 
-def test_the_linear_form_is_the_model(recording):
-    chosen = setting(recording, "as-recorded")
-    world, model, _ = run(chosen, "kalman", 1, "as-recorded")
-    assert model.linear and model.process_covariance and model.measurement_jacobian
-    x = np.array([[100.0], [8.0], [2.0], [0.03]])
-    for k in (0, 7, 39, 60):
-        moved = model.transition(x, world.u[k], over(float(world.lengths[k])))
-        assert np.allclose(model.linear.A(k) @ x, moved, rtol=1e-12)
-        Q = model.process_covariance(x, world.u[k], over(world.lengths[k]))
-        assert np.array_equal(model.linear.Q(k), Q[:, :, 0])
-    assert np.array_equal(model.linear.C(0), model.measurement_jacobian(x, 0)[:, :, 0])
+@pytest.mark.parametrize("motion", ["acceleration", "jerk", "accelerometer"])
+def test_the_linear_form_is_the_model(recording, motion):
+    trip().assign(a_mps2=lambda table: np.sin(table.t_s)).to_csv(recording, index=False)
+    chosen = setting(recording, "as-recorded", {**MAP, "acceleration": "a_mps2"})
+    world = chosen.world(Streams(1, "recorded", "as-recorded", range(1)))
+    model = chosen.design_model({"motion": motion, "shortfall": "told"}, world.initial_mean)
+    form, steps = model.linear, len(world.lengths)
+    assert form and model.process_covariance and model.measurement_jacobian and model.measurement_covariance
+    x = np.array([[100.0], [8.0], [2.0], [0.03], [0.2]])[:model.nx]
+    for k in (0, 7, 39, 60, steps - 1, steps + 9):
+        u, length = world.u[min(k, steps - 1)], world.lengths[min(k, steps - 1)]
+        moved = model.transition(x, u, over(float(length)))
+        assert np.allclose(form.A(k) @ x + form.B(k) @ u + form.h(k)[:, None], moved, rtol=1e-12)
+        assert np.array_equal(form.Q(k), model.process_covariance(x, u, over(length))[:, :, 0])
+    assert np.array_equal(form.C(0), model.measurement_jacobian(x, 0)[:, :, 0]) and not form.constant
+    assert np.array_equal(form.R(0), model.measurement_covariance(untold(0, model.ny))[:, :, 0])
 
 
 def test_kalman_equals_a_textbook_loop(recording):

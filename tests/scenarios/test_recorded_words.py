@@ -20,6 +20,7 @@ from ..recordings import METRO, fixes, metro, tram, write_examples
 TRAM = {"time": "t_s", "position": "s_gnss_m", "speed": "v_kmh", "odometer": "odo_m", "acceleration": "acc_mps2"}
 WHOLE = {**TRAM, "reference_position": "s_ref_m", "reference_speed": "v_ref_mps"}
 PLACES = {"time": "time", "latitude": "latitude", "longitude": "longitude", "position_sd": "fix"}
+LEVEL = {"stops": [0.0, 1500.0], "speed_limits": [[0.0, 20.0]], "gradients": [[0.0, 0.0]]}
 BARE = {"time": "t_s", "position": "s_gnss_m"}
 QUALITY = {"NARROW_INT3": 0.05, "SINGLE": 30.0, "PROPAGATED": "missing"}
 
@@ -32,6 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     tram(2).to_csv("two.csv", index=False)
     tram(1, 0.2).to_csv("fine.csv", index=False)
     fixes().to_csv("fixes.csv", index=False)
+    tram().assign(s_ref_m=lambda table: table["s_ref_m"].where(table.index % 20 == 0)).to_csv("few.csv", index=False)
     vague = fixes()
     vague.loc[vague.index > 1, "fix"] = "SINGLE"
     vague.to_csv("vague.csv", index=False)
@@ -88,6 +90,10 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "few steps": lambda: own(time__steps=100), "one step too few": lambda: own(time__steps=182),
     "just enough steps": lambda: own(time__steps=183),
     "a long outage": lambda: own(variant="outage", sensors__outage__duration=500.0),
+    "a long outage of a part": lambda: own(variant="outage", plant__span=[30.0, 90.0], sensors__outage__duration=90.0),
+    "a line alone": lambda: own(plant__line=LEVEL).design_model({}, np.zeros((2, 1))),
+    "three of a reference": lambda: setting("recorded", "few.csv", WHOLE, plant__span=[0.0, 40.0]),
+    "two of a reference": lambda: setting("recorded", "few.csv", WHOLE, plant__span=[0.0, 30.0]),
     "vague fixes": lambda: setting("recorded", "vague.csv", PLACES, plant__quality=QUALITY),
     "balises of three columns": lambda: wheels(plant__balises="three.csv"),
     "no odometer and no speed": lambda: setting("recorded", "tram.csv", BARE).design_model(
@@ -105,7 +111,8 @@ REFUSED: dict[str, Callable[[], Any]] = {
 def test_what_is_said_of_recordings(folder: Path, expected: Callable[[str, str], None]) -> None:
     said = list[str]()
     for name, made in NOTES.items():
-        said += [f"{name}:", *(f"  {note}" for note in made().notes)]
+        found = made()
+        said += [f"{name}: {found.table()}", *(f"  {note}" for note in found.notes)]
     for name, call in REFUSED.items():
         try:
             call()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from railstate.scenarios.arrays import Array
-from railstate.scenarios.recorded.checks import examine
+from railstate.scenarios.recorded.checks import _jumping, _offside, examine
 
 Columns = dict[str, Array]
 
@@ -132,3 +132,39 @@ def test_what_is_said_of_columns(expected: Callable[[str, str], None]) -> None:
         lines += [f"  {one.grade} {one.role}{' (reading)' if one.reading else ''}: {one.text}"
                   for one in examine(time, columns, told)]
     expected("recording-checks", "\n".join(lines))
+
+
+def test_steps_that_no_train_makes() -> None:
+    """By a loop: farther than 170 m/s and four told deviations of both ends allow, or than pace, acceleration, the
+    usual scatter and the told deviations lead to."""
+    rng, seen = np.random.default_rng(2), 0
+    for _ in range(40):
+        n = int(rng.integers(4, 30))
+        time = np.cumsum(rng.choice([0.5, 1.0, 4.0], n))
+        place = np.cumsum(rng.normal(8.0, 3.0, n)) + rng.choice([0.0, 0.0, 90.0, 800.0], n)
+        told = rng.choice([0.0, 2.0, 30.0, np.nan], n)
+        sd = [0.0 if np.isnan(one) else 4.0 * one for one in told]
+        length = [time[k + 1] - time[k] for k in range(n - 1)]
+        pace = [(place[k + 1] - place[k]) / length[k] for k in range(n - 1)]
+        ahead = [place[k + 2] - place[k + 1] - pace[k] * length[k + 1] for k in range(n - 2)]
+        usual = float(np.median(np.abs(ahead)))
+        wrong = {k for k in range(n - 1) if abs(place[k + 1] - place[k]) > 170 * length[k] + sd[k] + sd[k + 1]}
+        wrong |= {k + 1 for k in range(n - 2) if abs(ahead[k]) > (
+            5 + 3 * length[k + 1] * (length[k] + length[k + 1]) / 2 + 12 * usual + sd[k + 1] + sd[k + 2]
+            + (sd[k] + sd[k + 1]) * length[k + 1] / length[k])}
+        found, far = _jumping(time, place, told)
+        assert found.tolist() == sorted(wrong)
+        np.testing.assert_allclose(far, ahead)
+        seen += len(wrong)
+    assert seen > 40
+
+
+def test_fixes_beside_the_line() -> None:
+    """More than 50 m and four told deviations; rows without a fix are none."""
+    time, across = 100.0 * np.arange(6), np.array([50.0, 50.1, 62.0, np.nan, 62.1, 70.0])
+    told, there = np.array([0.0, np.nan, 3.0, 0.0, 3.0, 5.0]), np.array([0, 1, 2, 4, 5])
+    found, = _offside(time, across, there, told)
+    assert (found.grade, found.role, found.text) == (
+        "odd", "position", "2 fixes are off the line, by up to 62.1 m at t = 400 s: --without 100..100 --without "
+        "400..400")
+    assert list(_offside(time, across, there[[0, 2, 4]], told)) == []

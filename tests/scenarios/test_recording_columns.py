@@ -18,7 +18,8 @@ from railstate.scenarios.recorded.times import seconds
 
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_stamps_of_the_same_years_are_known_in_every_unit(unit: str, factor: float) -> None:
-    for seconds_, known in ((8e8, True), (3.9e9, True), (4.4e9, False), (5.5e8, False)):  # 1995, 2093; 2109, 1987
+    for seconds_, known in ((8e8, True), (3.9e9, True), (4.4e9, False), (5.5e8, False),  # 1995, 2093; 2109, 1987
+                            (6e8, False), (4e9, False)):
         found = suggested(table_of("t", {"time": factor * (seconds_ + np.arange(3.0)), "s [m]": np.arange(3.0)}, ""))
         assert found.map == {"time": f"time [{unit if known else 's'}]", "position": "s [m]"}
         assert found.why == {"time": "supposed by its size" if known or factor * seconds_ > 6e8 else "supposed"}
@@ -78,3 +79,18 @@ def test_units_agree_with_each_other() -> None:
     assert units.SHARES == {"-": 1.0, "share": 1.0, "%": 0.01, "percent": 0.01}
     assert units.SLOPES == {"-": 1.0, "permil": 0.001, "%": 0.01}
     assert units.FORCES == {"N": 1.0, "kN": 1000.0} and units.POWERS == {"W": 1.0, "kW": 1000.0, "MW": 1e6}
+
+
+@pytest.mark.parametrize(("columns", "meant", "quality"), [
+    ({"fix": ["RTK fixed", "none", "GNSS"]}, {}, {}),
+    ({"lat": [1.0, 2, 3], "fix": ["GNSS"] * 3}, {"latitude": "lat"}, {}),
+    ({"s": [1.0, 2, 3], "fix": ["GNSS"] * 3, "v": [1.0, 2, 3]},
+     {"position": "s [m]", "speed": "v [m/s]", "position_sd": "fix"}, {"GNSS": 3.0}),
+    ({"lat": [1.0, 2, 3], "lon": [1.0, 2, 3], "accuracy": [1.0, 2, 3]},
+     {"latitude": "lat", "longitude": "lon", "position_sd": "accuracy [m]"}, {}),
+    ({"s_m": [1.0, 2, 3], "accuracy_cm": [1.0, 2, 3]}, {"position": "s_m", "position_sd": "accuracy_cm"}, {})])
+def test_how_good_a_reading_is_goes_with_the_reading(columns: dict[str, Any], meant: dict[str, str],
+                                                     quality: dict[str, float]) -> None:
+    found = suggested(table_of("t", {"t_s": np.arange(3.0), **{
+        name: values if isinstance(values[0], str) else np.array(values) for name, values in columns.items()}}, ""))
+    assert found.map == {"time": "t_s", **meant} and found.quality == quality

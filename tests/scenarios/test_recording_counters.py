@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -120,3 +121,100 @@ def test_ways_that_tell_nothing() -> None:
     jump = PLACE + 1000.0 * (TIME > 50)
     ratio, together = compared(TIME, jump, PLACE)
     assert ratio == pytest.approx(1.0) and together < 0.5
+
+
+def textbook(time: Any, one: Any, other: Any, least: float) -> tuple[float, float]:
+    """Ratio and correlation of two ways by loops over the parts of the trip."""
+    there = [k for k in range(len(time)) if math.isfinite(one[k]) and math.isfinite(other[k])]
+    if len(there) < 4:
+        return NAN, NAN
+    ends = np.linspace(time[there[0]], time[there[-1]], 25)
+    cuts = sorted({next(k for k in there if time[k] >= end) for end in ends})
+    parts = [(one[b] - one[a], other[b] - other[a]) for a, b in pairwise(cuts)]
+    largest = max(max(abs(a), abs(b)) for a, b in parts)
+    use = [(a, b) for a, b in parts if max(abs(a), abs(b)) > 0.02 * largest]
+    ways = [sum(abs(a) for a, _ in parts), sum(abs(b) for _, b in parts)]
+    if len(use) < 3 or min(ways) < 1e-3 * least or sum(max(abs(a), abs(b)) for a, b in parts) < least:
+        return NAN, NAN
+    ratios, passed = sorted((a / b, abs(b)) for a, b in use if b), 0.0
+    for ratio, weight in ratios:  # noqa: B007
+        passed += weight
+        if passed >= sum(weight for _, weight in ratios) / 2:
+            break
+    total = math.sqrt(sum(a * a for a, _ in use) * sum((ratio * b) ** 2 for _, b in use))
+    return ratio, sum(a * abs(ratio) * b for a, b in use) / total if total else 0.0
+
+
+def test_two_ways_by_loops() -> None:
+    """Gaps, stands, jumps and ways of little more or less than what tells something."""
+    rng, known = np.random.default_rng(4), 0
+    for case in range(150):
+        n = int(rng.integers(3, 70))
+        time = np.cumsum(rng.choice([0.5, 1.0, 7.0], n))
+        steps = rng.normal(1.0, 1.0, (2, n)) * rng.choice([0.0, 1.0], (2, n), p=[0.2, 0.8]) * rng.choice([1, -1, 30])
+        one, other = np.cumsum(steps * rng.choice([0.02, 0.3, 1.0, 9.0]), axis=1)
+        one = one if case % 3 else other * rng.choice([0.5, -3.6]) + rng.choice([0, 500]) * (time > time[n // 2])
+        one, other = np.where(rng.random(n) < 0.1, NAN, one), np.where(rng.random(n) < 0.1, NAN, other)
+        found = compared(time, one, other)
+        assert found == pytest.approx(textbook(time, one, other, 20.0), rel=1e-9, nan_ok=True)
+        known += not math.isnan(found[0])
+    assert 60 < known < 140
+
+
+def test_ways_that_just_tell_something() -> None:
+    time, whole = np.arange(5.0), np.array([0.0, 10, 20, 30, 30.0])
+    for little, ratio in ((0.019, NAN), (0.021, 7e-4)):  # 20 m and a thousandth of it
+        assert compared(time, whole * little / 30, whole)[0] == pytest.approx(ratio, nan_ok=True)
+        assert np.isnan(compared(time, whole, whole * little / 30)[0]) == math.isnan(ratio)
+    for step, count in ((1.0, 2), (1.01, 3)):  # a fiftieth of the largest part does not count
+        way = np.array([0.0, 50, 100, 100 + step])
+        assert np.isnan(compared(time[:4], way, way)[0]) == (count < 3)
+
+
+def mixed(together: float, by: float = 1.0) -> list[tuple[str, str, str]]:
+    """Of 24 parts a way of 100 m and one that is now longer, now shorter, so that they are correlated like this."""
+    sign, time = np.where(np.arange(24) % 2, 1.0, -1.0), np.arange(25.0)
+    parts = by * 100.0 * (together + math.sqrt(1 - together**2) * sign)
+    ways = {"odometer": np.cumsum([0.0, *parts]), "position": 100.0 * time}
+    assert compared(time, *ways.values())[1] == pytest.approx(together)
+    return [(found.grade, found.role, found.text) for found in against(time, ways)]
+
+
+def test_how_far_columns_may_go_apart() -> None:
+    turned = ("impossible", "odometer", "odometer and position go in opposite directions: a minus turns one (--map "
+              "odometer=-COLUMN)")
+    assert mixed(-0.51) == mixed(-0.9, 1.5) == [turned]
+    for together in (-0.49, 0.0, 0.49):
+        assert mixed(together, 1.5) == [
+            ("odd", "odometer", f"odometer and position do not go together (correlation {together:.2f})")]
+    assert mixed(0.51, 0.5) == [("odd", "odometer", "the way by odometer is 0.1751 times the way by position")]
+    rare = np.where(np.arange(24) == 5, -900.0, 100.0)  # most of it along, all in all against
+    time = np.arange(25.0)
+    found, = against(time, {"odometer": np.cumsum([0.0, *rare]), "position": 100.0 * time})
+    assert (found.grade, found.text) == ("odd", "odometer and position do not go together (correlation 0.28)")
+    rare = np.where(np.arange(24) < 11, -100.0, 2.0)  # against, but for the most part a little along
+    found, = against(time, {"odometer": np.cumsum([0.0, *rare]), "position": 100.0 * time})
+    assert (found.grade, found.text) == ("odd", "odometer and position do not go together (correlation -0.66)")
+    for by, changed in ((1.2, True), (1.3, False), (0.8, True), (0.7, False), (3.6, True), (3.0, False)):
+        text, = [text for _, role, text in told(speed=PLACE / by, position=PACE) if role == "speed"]
+        assert text.startswith("speed and position do not go together: the two columns have changed places") == changed
+
+
+def test_an_accelerometer_that_goes_with_speed_or_does_not() -> None:
+    pull, other = np.gradient(PACE, TIME), np.cos(TIME / 2.3) / 3
+    seen = list[float]()
+    for angle in np.linspace(0, np.pi, 60):
+        reading = np.cos(angle) * pull + np.sin(angle) * other
+        way = np.concatenate([[0.0], np.cumsum((reading[1:] + reading[:-1]) / 2)])
+        scale = 9.80665 / abs(compared(TIME, way, PACE, 2.0)[0])
+        for unit in (scale, 1.1 * scale):
+            ratio, together = compared(TIME, unit * way, PACE, 2.0)
+            found, seen = told(acceleration=unit * reading, speed=PACE), [*seen, together]
+            if together > 0.6 and abs(ratio / 9.80665 - 1) < 0.05:
+                assert found == [("impossible", "acceleration", f"the integral of acceleration is {ratio:.4g} times "
+                                  "the change of speed: the factor between g and m/s^2 (9.80665)")]
+            else:
+                assert found == ([("odd", "acceleration", "acceleration has the opposite sign of the change of speed")]
+                                 if together < -0.6 and ratio < 0 else [])
+    for low, high in ((-0.9, -0.6), (-0.6, -0.4), (0.4, 0.6), (0.6, 0.9)):
+        assert any(low < together < high for together in seen)

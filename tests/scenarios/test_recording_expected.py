@@ -135,6 +135,15 @@ RIDES = """
 """.replace("} {", "}\n{").strip().splitlines()
 
 
+WHEEL_RIDES = """
+{} {'channel.kind': 'bernoulli', 'channel.p': 0.7} {'sensors.simulated': ['gnss', 'radar']}
+{'faults': [{'kind': 'outliers', 'sensors': ['wheel-a', 'balise'], 'share': 0.3, 'size': 2.0}]}
+{'channel.kind': 'delay', 'channel.steps': [0, 3]} {'sensors.use': ['wheel-b']} {'knowledge.motion': 'minmax'}
+{'sensors.outage': {'place': 'random', 'duration': 20.0, 'sensors': ['wheel-a', 'wheel-b']}}
+{'faults': [{'kind': 'dropout', 'sensors': ['wheel-a'], 'from': 20.0, 'to': 40.0}]}
+""".replace("} {", "}\n{").strip().splitlines()
+
+
 def test_rides(expected: Expected, tmp_path: Path, monkeypatch: Any) -> None:
     """Two trips in turn: what is true, heard, told to be true, and scored."""
     monkeypatch.chdir(tmp_path)
@@ -146,14 +155,24 @@ def test_rides(expected: Expected, tmp_path: Path, monkeypatch: Any) -> None:
         given = {f"plant.{key}" if key == "trips" else key: value for key, value in ast.literal_eval(text).items()}
         acceleration = {"acceleration": "acc_mps2"} if "accelerometer'}" in text else {}
         changes = {"plant.recording": ["trip-1.csv", "trip-2.csv"], "plant.map": {**columns, **acceleration}, **given}
-        out.append(text)
-        try:
-            found = railstate.simulate("recorded/as-recorded", 1, seed=2, overrides=changes)
-            setting = load("recorded", changes, "as-recorded").setting("as-recorded")
-            world = setting.world(Streams(2, "recorded", "as-recorded", (0, 1, 2)))
-            out += [*columns_of(found.truth), *columns_of(found.measurements)]
-            out += [f"  {line}" for line in told(setting.told({}, {}, world.initial_mean), world.step(
-                0, world.initial_mean))]
-        except InputError as error:
-            out.append(f"  {error}")
+        out += [text, *ridden("recorded", "as-recorded", changes)]
+    metro().to_csv("metro.csv", index=False)
+    for text in WHEEL_RIDES:
+        changes = {"plant.recording": "metro.csv", "plant.map": METRO, "plant.balises": PLACED,
+                   **ast.literal_eval(text)}
+        seen = {*out}
+        out += [f"wheels {text}", *(line for line in ridden("recorded-odometry", "wheels", changes)
+                                    if line not in seen)]
     expected("rides", "\n".join(out).replace(str(tmp_path), "."))
+
+
+def ridden(name: str, variant: str, changes: dict[str, Any]) -> list[str]:
+    try:
+        found = railstate.simulate(f"{name}/{variant}", 1, seed=2, overrides=changes)
+        setting = load(name, changes, variant).setting(variant)
+        world = setting.world(Streams(2, name, variant, (0, 1, 2)))
+        return [*columns_of(found.truth), *columns_of(found.measurements), *(f"  {line}" for line in told(
+            setting.told({}, {}, world.initial_mean), world.step(0, world.initial_mean))),
+                *(f"  {part} {digest(getattr(world, part))}" for part in ("u", "y", "received"))]
+    except InputError as error:
+        return [f"  {error}"]

@@ -63,7 +63,9 @@ GIVEN: dict[str, bytes] = {
     "sheet.xlsx": zipped(**{"[Content_Types].xml": "", "b": ""}), "cut.zip": zipped(a=PLAIN)[:50],
     "mark.csv": b"\xef\xbb\xbf" + PLAIN.encode(), "wide.csv": PLAIN.encode("utf-16"),
     "wide-le.csv": PLAIN.encode("utf-16-le"), "wide-be.csv": PLAIN.encode("utf-16-be"),
-    "wide-cut.csv": PLAIN.encode("utf-16")[:-1], "mark-only.csv": b"\xef\xbb\xbf\xff\xfe\xfa",
+    "wide-cut.csv": PLAIN.encode("utf-16")[:-1], **{
+        f"{x} of latin.csv": f"t;{'路' * (99 - x)}{'x' * x}\n0;1\n".encode("utf-16-le") for x in (70, 90)},
+    "mark-only.csv": b"\xef\xbb\xbf\xff\xfe\xfa",
     "latin.csv": "Zeit [s];Höhe\n0;1\n1;2\n".encode("latin-1"), "latin-control.csv": b"t;H\xf6he\n0;\x01\n",
     "control.csv": b"t;x\n0;\x01\n", "nul.csv": b"t;x\n0;\0\n1;2\n", "empty.csv": b"", "blank.csv": b" \n\t\r\n",
     "comment.csv": b"# made by hand\n\n# t [s], x [m]\n0, 1\n1, 2\n", "comments-only.csv": b"# t, x\n#\n\n",

@@ -302,10 +302,10 @@ def test_what_columns_may_be_taken_for() -> None:
     told_of = described(table(t=["1.5", "2,5"], a=["0,5", "3"]), "t")
     assert told_of["from"].tolist() == ["row 2 has '2,5'", "row 1 has '0,5'"]
     assert told_of["step s"].tolist() == ["", ""]
-    plain = described(table(t=[0.0, 1.0, 4.0], a=[2.0, None, -1.0], w=["x", "y", "z"]), "t [s]")
+    plain = described(table(t=[0.0, 1.0, 4.0], a=[2.0, None, -1.0], w=["x", "y", "z"], p=["x", "y", "x"]), "t [s]")
     assert plain.to_dict("list") == {
-        "column": ["t", "a", "w"], "values": [3, 2, 3], "step s": ["2", "4", ""], "longest gap s": ["3", "4", ""],
-        "from": ["0", "-1", "x, y, .. (3)"], "to": ["4", "2", ""], "largest change": ["3", "3", ""]}
+        "column": [*"tawp"], "values": [3, 2, 3, 3], "step s": ["2", "4", "", ""], "longest gap s": ["3", "4", "", ""],
+        "from": ["0", "-1", "x, y, .. (3)", "x, y"], "to": ["4", "2", "", ""], "largest change": ["3", "3", "", ""]}
 
 
 def test_simulated_balises_of_a_recording(tmp_path: Path) -> None:

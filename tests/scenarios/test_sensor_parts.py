@@ -6,19 +6,24 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
+from railstate.scenarios.aboard import Instruments, hearing
 from railstate.scenarios.faults import Fault, Readings
-from railstate.scenarios.measurement import Measurement, told
+from railstate.scenarios.measurement import Measurement, told, untold
+from railstate.scenarios.model import Bounds
 from railstate.scenarios.sensors.accelerometer import Accelerometer
 from railstate.scenarios.sensors.balise import Balises
 from railstate.scenarios.sensors.gnss import Gnss, ends, fixes
 from railstate.scenarios.sensors.radar import Radar
 from railstate.scenarios.sensors.wheel import Wheel, rolled
 from railstate.scenarios.world import Sensing
+
+from ..models import linear
 
 RUNS = 2
 
@@ -273,3 +278,26 @@ def test_a_covariance_that_sensors_tell_stands_for_the_models(inflate: float) ->
     said[0, 0], said[1, :, 1], said[0, 1, 1] = [5.0, 6.0], [0.0, 7.0], 0.0
     expected = np.array([[[5.0, 6.0], [2.0, 0.0]], [[2.0, 0.0], [12.0, 7.0]]])
     np.testing.assert_array_equal(r(here._replace(covariance=said)), inflate * expected)
+
+
+def test_places_heard_beside_a_linear_model() -> None:
+    """They are of its first state and leave it linear and bounded, by three deviations; a radar's scale does not."""
+    balise = {"location": [0.06, 1.0], "detection": 0.08}
+    instruments = Instruments.model_validate({"gnss": {"told": 2.0}, "balise": balise})
+    plain = linear(2)
+    plain = replace(plain, bounds=Bounds(np.eye(3), np.ones(3), np.array([4.0, 5.0])))
+    model, x = hearing(plain, ("balise", "gnss"), instruments, 0.1), np.ones((3, 2))
+    form, old, bounds = model.linear, plain.linear, model.bounds
+    assert form is not None and old is not None and bounds is not None and model.states == plain.states
+    assert model.measurement_jacobian is not None and model.measurement_covariance is not None
+    np.testing.assert_array_equal(form.C(3), np.concatenate([old.C(3), [[1.0, 0.0, 0.0]] * 2]))
+    np.testing.assert_array_equal(form.C(3), model.measurement_jacobian(x, 3)[:, :, 0])
+    R = np.diag([0.0, 0.0, 0.01, 4.0])
+    R[:2, :2] = old.R(3)
+    np.testing.assert_allclose(form.R(3), R, rtol=1e-12)
+    np.testing.assert_allclose(model.measurement_covariance(untold(3, 4))[:, :, 0], R, rtol=1e-12)
+    np.testing.assert_allclose(bounds.v_bar, [4.0, 5.0, 0.3, 6.0])
+    for name in "ABhQ":
+        np.testing.assert_array_equal(getattr(form, name)(3), getattr(old, name)(3))
+    scaled = hearing(plain, ("balise", "radar"), instruments, 0.1)
+    assert scaled.linear is None and scaled.bounds is None and scaled.states == (*plain.states, "scale-radar")
