@@ -99,7 +99,7 @@ class PerRun(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         self.models = [RunModel(model, run, random) for run in range(runs)]
-        self._mean = np.array(model.initial_mean, dtype=float)
+        self._mean = model.initial_mean.copy()
         self._covariance = None
         if "covariance" in self.claims:
             self._covariance = np.repeat(model.initial_covariance, runs, axis=2)

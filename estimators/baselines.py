@@ -22,7 +22,7 @@ class _Mean(Estimator):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        self._mean = np.array(model.initial_mean, dtype=float)
+        self._mean = model.initial_mean.copy()
 
     def estimate(self) -> Estimate:
         return Estimate(self._mean)

@@ -57,22 +57,22 @@ def remember(inputs: Any, design: Callable[[], dict[str, Any]]) -> Cached:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        digest, text = path.read_text(encoding="utf-8").split("\n", 1)
+        digest, text = path.read_bytes().split(b"\n")
     except (OSError, ValueError):
         return None
-    return json.loads(text) if digest == hashlib.sha256(text.encode()).hexdigest() else None
+    return json.loads(text) if digest == hashlib.sha256(text).hexdigest().encode() else None
 
 
 def _write(path: Path, entry: dict[str, Any]) -> None:
-    text = json.dumps(entry)
+    text = json.dumps(entry).encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".design-")
     except OSError:
         return
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(hashlib.sha256(text.encode()).hexdigest() + "\n" + text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
         os.replace(temporary, path)
     except OSError:
         Path(temporary).unlink(missing_ok=True)

@@ -39,8 +39,8 @@ class ExtendedKalman(Estimator):
 
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
-        self._mean = np.array(model.initial_mean, dtype=float, order="C")
-        self._covariance = np.array(model.initial_covariance, dtype=float, order="C")
+        self._mean = model.initial_mean.copy()
+        self._covariance = model.initial_covariance.copy()
         self._estimate = Estimate(self._mean, covariance=self._covariance)
         self._failed, self._room = np.zeros(runs, dtype=bool), Room()
         self._residual, self._variance = np.zeros((model.ny, runs)), np.zeros((model.ny, runs))

@@ -53,7 +53,7 @@ class Relocation(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         self.rows = [model.measurements.index(name) for name in self.parameters.by]
-        self._mean = np.array(model.initial_mean, dtype=float)
+        self._mean = model.initial_mean.copy()
         self._fixed = np.repeat(model.initial_covariance[0, 0], runs // model.initial_covariance.shape[2])
         self._gone, self._room = np.zeros(runs), Room()
         self._covariance = np.empty((1, 1, runs))

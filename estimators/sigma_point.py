@@ -54,7 +54,7 @@ class SigmaPointKalman(Estimator):
         n, ny = model.nx, model.ny
         *weights, self._scale = self.weights(n)
         self._weights = np.array(weights)
-        self._mean = np.array(model.initial_mean, dtype=float, order="C")
+        self._mean = model.initial_mean.copy()
         self._covariance = np.array(np.broadcast_to(model.initial_covariance, (n, n, runs)), order="C")
         self._estimate = Estimate(self._mean, covariance=self._covariance)
         self._failed = np.zeros(runs, dtype=bool)

@@ -40,7 +40,7 @@ def describe(error: ValidationError, model: type[BaseModel], prefix: str = "",
 
     table: what was validated, for paths as its file has them."""
     lines = []
-    for item in error.errors(include_url=False):
+    for item in error.errors():
         path = ".".join([*([prefix] if prefix else []), *_keys(item["loc"], table)])
         got = item["input"]
         message = {"missing": "missing", "extra_forbidden": "unknown key"}.get(item["type"], item["msg"])
@@ -59,13 +59,14 @@ def _keys(loc: tuple[int | str, ...], table: Any) -> Iterator[str]:
             if part in [table.get(key) for key in TAGS] and part not in table:
                 continue
             table = table.get(part)
-        elif isinstance(table, list) and isinstance(part, int) and isinstance(table[part], dict):
-            table = table[part]
-            part = table.get("name", table.get("kind", part))
+        elif isinstance(table, list) and isinstance(part, int):
+            table = table[part] if part < len(table) else None
+            if isinstance(table, dict):
+                part = table.get("name", table.get("kind", part))
         elif table is not None and isinstance(part, str):
             continue
         else:
-            table = table[part] if isinstance(table, list) and isinstance(part, int) and part < len(table) else None
+            table = None
         yield str(part)
 
 

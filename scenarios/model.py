@@ -183,7 +183,7 @@ class DesignModel:
                     "interval), with interval.length in seconds, interval.share of the step's input and "
                     "interval.depart for k; measurement_covariance(measurement) likewise, with measurement.step for k")
         for name in ("initial_mean", "initial_covariance"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(np.ascontiguousarray(getattr(self, name), dtype=float)))
 
     def over(self, course: Course) -> WholeSteps | LinearSteps | None:
         """`whole`, where it stands for the functions that this model has, and for the periods of a course."""

@@ -30,8 +30,7 @@ class HuberKalman(ElementwiseKalman):
     source = "Karlgaard and Schaub, J. Guidance 30(3), 2007; Huber, Ann. Math. Stat. 35, 1964"
 
     def weigh(self, reading: Reading) -> Weighed:
-        size = np.sqrt(reading.ratio)
-        weight = np.minimum(1.0, self.parameters.threshold / np.maximum(size, 1e-300))
+        weight = self.parameters.threshold / np.maximum(np.sqrt(reading.ratio), self.parameters.threshold)
         return Weighed(reading.noise / weight, np.ones_like(weight), weight < 0.5)
 
 

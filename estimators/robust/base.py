@@ -84,7 +84,7 @@ class Robust(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         bounds, nx = bounds_of(model), model.nx
-        self._x = np.array(model.initial_mean, dtype=float, order="C")
+        self._x = model.initial_mean.copy()
         self._M = np.zeros(nx) if bounds.M is None else plain(bounds.M[:, 0])
         self._N = np.zeros(nx) if bounds.N is None else plain(bounds.N[0])
         self._whole = plain((bounds.G * bounds.w_bar)[:, :, None])

@@ -29,9 +29,9 @@ class IntervalObserver(Estimator):
         super().start(model, runs, random)
         assert model.inclusion is not None
         self.inclusion = model.inclusion
-        self.low, self.high = (np.broadcast_to(np.asarray(side, dtype=float), (len(side), runs)).copy()
+        self.low, self.high = (np.broadcast_to(side, (len(side), runs)).copy()
                                for side in (model.inclusion.low, model.inclusion.high))
-        self._mean = np.array(model.initial_mean, dtype=float)
+        self._mean = model.initial_mean.copy()
         self._shape = np.empty((1, 1, runs))
 
     def predict(self, u: Any, interval: Interval) -> None:

@@ -71,7 +71,7 @@ class ZonotopicFilter(Estimator):
     def start(self, model: DesignModel, runs: int, random: RunRandom) -> None:
         super().start(model, runs, random)
         bounds, n = bounds_of(model), model.nx
-        self._x = np.array(model.initial_mean, dtype=float, order="C")
+        self._x = model.initial_mean.copy()
         self._keep = self.parameters.order * n
         self._H = np.zeros((n, self._keep + max(bounds.G.shape[1] + 1, model.ny), runs))
         sd = np.sqrt(np.diagonal(model.initial_covariance)).T  # (n, 1 or S)

@@ -99,7 +99,7 @@ class ConstantGain(Estimator):
         parts = (linear.A(0), linear.B(0), linear.C(0), np.linalg.solve(linear.A(0), self.K))
         self._A, self._B, self._C, self._correction = (np.ascontiguousarray(part[:, :, None]) for part in parts)
         self._h = linear.h(0)[:, None]
-        self._mean = np.array(model.initial_mean, dtype=float, order="C")
+        self._mean = model.initial_mean.copy()
         self._moved, self._driven = np.empty_like(self._mean), np.empty_like(self._mean)
         self._expected, self._room = np.empty((self._C.shape[0], runs)), Room()
         self._bound = None if self.bound is None else np.array([self.bound])

@@ -33,7 +33,7 @@ class MarkovRandomAccess(OneAtATime):
         for number, row in enumerate(self.transition):
             if len(row) != len(self.transition) or abs(sum(row) - 1) > 1e-9:
                 raise ValueError(f"transition must be square with rows that sum to 1; row {number} has {len(row)} "
-                                 f"entries that sum to {sum(row):g}")
+                                 f"entries that sum to {sum(row):.12g}")
         if self.transition:
             values = np.linalg.eigvals(np.array(self.transition))
             if np.sum(np.abs(values - 1) < 1e-9) > 1:
@@ -67,7 +67,6 @@ class MarkovRandomAccess(OneAtATime):
         return out
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
-        self.check(ny)
         return self.heard(self.chosen(random, steps, len(self.groups(ny))), ny)
 
     def transmitted(self) -> Reception:

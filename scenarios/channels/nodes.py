@@ -42,7 +42,7 @@ class OneAtATime(Base):
 
     def shares(self) -> tuple[tuple[tuple[int, ...], ...], tuple[float, ...]]:
         """The nodes as far as they are given, and an equal share of the steps for each."""
-        return tuple(tuple(node) for node in self.nodes), (1 / max(len(self.nodes), 1),) * len(self.nodes)
+        return tuple(tuple(node) for node in self.nodes), tuple(1 / len(self.nodes) for _ in self.nodes)
 
     def heard(self, chosen: Index, ny: int) -> Mask:
         """Which elements arrive (K, ny, S) where node chosen (K, S) transmits; none where it is negative."""

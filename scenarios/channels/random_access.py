@@ -27,7 +27,7 @@ class RandomAccess(OneAtATime):
         if len(self.p) != len(self.nodes):
             raise ValueError(f"p has {len(self.p)} probabilities for {len(self.nodes)} nodes: one each is needed")
         if abs(sum(self.p) - 1) > 1e-9:
-            raise ValueError(f"p must sum to 1, but sums to {sum(self.p):g}")
+            raise ValueError(f"p must sum to 1, but sums to {sum(self.p):.12g}")
         return self
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:

@@ -23,8 +23,8 @@ class Stuck(Base):
         elements = readings.sensing.chosen(self.sensors)
         inside, since = self.present(random, readings.time)
         held = readings.y[0][elements]
-        for k in range(len(readings.time)):
-            begins = ~inside[k - 1] | (since[k] < since[k - 1]) if k else np.ones(len(random.runs), dtype=bool)
+        for k in range(1, len(readings.time)):
+            begins = ~inside[k - 1] | (since[k] <= since[k - 1])  # or once more, where episodes are shorter than steps
             held = np.where(inside[k] & ~begins, held, readings.y[k][elements])
             readings.y[k][elements] = held
         self.mark(readings, elements, inside)

@@ -78,9 +78,9 @@ class Stamps(Base):
         time = readings.time
         inside, _ = self.present(random, time)
         at = np.clip(time - self.offset, time[0], time[-1])
-        right = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
+        right = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
         span = time[right] - time[right - 1]
-        share = np.where(span > 0, (at - time[right - 1]) / np.where(span > 0, span, 1.0), 0.0)[:, None]
+        share = ((at - time[right - 1]) / np.where(span > 0, span, 1.0))[:, None]  # a run of one step has no span
         for element in elements:
             y = readings.y[:, element]
             base = y if readings.clean is None else readings.clean[:, element]

@@ -39,6 +39,10 @@ def test_where_alarms_begin() -> None:
     noise, weight, alarm = made("mcc", {}, 4).weigh(reading([0.0, 7.06, 7.07, 200.0]))
     assert noise == pytest.approx([1, math.exp(7.06**2 / 72), math.exp(7.07**2 / 72), 1e12])
     assert alarm.tolist() == [0, 0, 1, 1] and (weight == 1).all()
+    for plugin, parameters, residual in (("huber", {"threshold": 1.0}, 2.0),
+                                         ("mcc", {"bandwidth": 1.0}, math.sqrt(2 * math.log(2)))):
+        noise, _, alarm = made(plugin, parameters, 1).weigh(reading([residual], 0.5, 0.5))
+        assert noise.tolist() == [1.0] and alarm.tolist() == [0]  # a weight of one half is no alarm
     noise, weight, alarm = made("student-t", {}, 40).weigh(reading(np.linspace(0, 9, 40).tolist()))
     assert (alarm == (noise > 2)).all() and 3 < alarm.sum() < 37 and (weight == 1).all()
     roth = made("student-t-roth", {}, 3)

@@ -128,6 +128,27 @@ def test_roughening_spreads_the_particles_and_leaves_the_estimate():
     assert sets[0][0] < 50 and sets[1] == [50, 50] and sets[0][1] == 50
 
 
+def test_uniform_densities_element_by_element():
+    """With gains that differ from run to run; a residual at its bound can be."""
+    draw = np.random.default_rng(2)
+    gains, w_bar, v_bar = draw.normal(size=(2, 3, 4)), np.array([0.5, 1.0, 2.0]), np.array([0.25, 3.0])
+    found = uniform(lambda interval: gains, w_bar, v_bar)
+    assert found.drawn == 3
+    for between in ((), (5,), (5, 2)):
+        z = draw.uniform(size=(3, *between, 4))
+        made = found.process(z, whole(0))
+        assert made.shape == (2, *between, 4)
+        for i, *place in np.ndindex(made.shape):
+            wanted = sum(gains[i, j, place[-1]] * w_bar[j] * (2 * z[(j, *place)] - 1) for j in range(3))
+            assert made[(i, *place)] == pytest.approx(wanted, rel=1e-13)
+    v = np.array([[0.25, -0.25, 0.26, -0.26, 0.0], [3.0, 3.1, 0.0, 9.0, 9.0]])
+    received = np.array([[1, 1, 1, 0, 0], [1, 0, 1, 1, 0]], dtype=bool)
+    assert found.log_measurement(v, heard(v, received)) == pytest.approx(
+        [-np.log(0.5) - np.log(6.0), -np.log(0.5), -np.inf, -np.inf, 0.0])
+    with pytest.raises(ValueError, match="shorter"):
+        found.log_measurement(v, heard(v, received[:1]))
+
+
 def test_the_metro_tells_its_bounds_as_densities():
     """A whole step's noise is within the bounds and has the moments of Q; residuals out of them are impossible."""
     table = dict(load("ningbo-metro").variants["white"])

@@ -7,13 +7,14 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from railstate.benchmarks.running.drive import drive, prepare
 from railstate.benchmarks.running.loop import Loop, Observer
-from railstate.estimators.random_access.covariance import covariance_sequence
+from railstate.estimators.random_access.covariance import Covariance, covariance_sequence, updated_covariance
 from railstate.estimators.random_access.estimators import ConditionalRandomAccess, RandomAccessFilter
 from railstate.scenarios.errors import Unsupported
 from railstate.scenarios.files import load
@@ -89,6 +90,22 @@ def test_the_filters_are_the_textbooks(shape, kind):
         mean, P = textbook(setting, world, run, kind is ConditionalRandomAccess)
         np.testing.assert_allclose(means[..., run], mean, rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(covariances[..., run], P, rtol=1e-9, atol=1e-10)
+
+
+def test_what_follows_from_a_covariance_is_computed_once():
+    setting = plant(3, [[0, 3], [1, 2], [4]])
+    model = setting.design_model({}, np.zeros((3, 1)))
+    linear, start = model.linear, Covariance.initial(model)
+    now = start.predicted(0)
+    np.testing.assert_array_equal(start.P, model.initial_covariance[:, :, 0])
+    np.testing.assert_allclose(now.P, linear.A(0) @ start.P @ linear.A(0).T + linear.Q(0), rtol=1e-14)
+    np.testing.assert_allclose(now.spread(1)[:, :, 0], linear.C(1) @ now.P @ linear.C(1).T + linear.R(1), rtol=1e-14)
+    assert start.predicted(0) is now and now.spread(1) is now.spread(1) and copy.deepcopy(now) is now
+    assert now.updated(1)[1] is now.updated(1)[1]
+    for made, wanted in zip(now.updated(1), updated_covariance(linear, model.reception, now.P, 1), strict=True):
+        np.testing.assert_array_equal(getattr(made, "P", made), wanted)
+    with pytest.raises(ValueError, match="shorter"):
+        updated_covariance(linear, replace(model.reception, p=(0.5, 0.5)), now.P, 1)
 
 
 @plants

@@ -5,7 +5,6 @@ Walks that fail, models that bend, modes without noise of their own, solvers and
 from __future__ import annotations
 
 import dataclasses
-import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 from cvxpy.error import SolverError
 from railstate.benchmarks.planning.plan import make_plan
-from railstate.estimators import design_cache
 from railstate.estimators.interface import Estimate, Estimator, Status, Walk, misshapen
 from railstate.estimators.mode_grid import known_states, sensor_noise
 from railstate.estimators.multiple_model.hypotheses import InteractingModels
@@ -266,24 +264,6 @@ def test_an_estimator_that_says_no_more_than_it_has_to() -> None:
              "for 2 states and 3 runs: float64 of shape (3,)"),
             (Estimate(zeros((2, 3)), diversity=zeros(3, dtype=int)), None)):
         assert misshapen(estimate, 2, 3, 0) == said
-
-
-@pytest.mark.parametrize("swept", [True, False])
-def test_a_design_that_cannot_be_written_leaves_nothing_behind(
-        swept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where what was written so far has been swept away meanwhile."""
-    monkeypatch.setenv("RAILSTATE_CACHE", str(tmp_path))
-
-    def full(source: str, _: object) -> None:
-        if swept:
-            os.unlink(source)
-        raise OSError("no space left")
-
-    with monkeypatch.context() as disk:
-        disk.setattr(os, "replace", full)
-        assert design_cache.remember([1], lambda: {"a": 1}) == design_cache.Cached({"a": 1}, False)
-        assert list(tmp_path.iterdir()) == []
-    assert [design_cache.remember([1], lambda: {"a": 2}).cached for _ in range(2)] == [False, True]
 
 
 def test_what_no_access_can_hold_and_windows_that_are_too_long() -> None:

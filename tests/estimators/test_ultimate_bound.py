@@ -9,7 +9,6 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from railstate.estimators import design_cache
 from railstate.estimators.ultimate_bound import decay as lmi_decay
 from railstate.estimators.ultimate_bound import lmi
 from railstate.estimators.ultimate_bound.estimators import FastestDecay, FixedGain, UltimateBound
@@ -18,7 +17,7 @@ from railstate.estimators.ultimate_bound.lmi import Certificate, ErrorSystem
 from railstate.estimators.ultimate_bound.system import error_system
 from railstate.scenarios.errors import Infeasible, InputError, Unsupported
 from railstate.scenarios.files import load
-from railstate.scenarios.model import DesignModel
+from railstate.scenarios.model import DesignModel, Reception
 from railstate.scenarios.randomness import RunRandom
 
 from ..models import heard, whole
@@ -304,16 +303,6 @@ def test_a_design_is_solved_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(lmi, "ultimate_bound", None)  # the second time nothing is solved
 
 
-def test_where_designs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert design_cache.folder() == tmp_path / "designs"
-    monkeypatch.delenv("RAILSTATE_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert design_cache.folder() == tmp_path / "railstate"
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("RAILSTATE_CACHE", str(tmp_path / "file" / "no"))
-    assert design_cache.remember({"a": 1}, lambda: {"b": 2.5}) == design_cache.Cached({"b": 2.5}, False)
-
-
 def test_a_fixed_gain_without_certificate_claims_nothing(tmp_path: Path) -> None:
     told = model()
     np.savetxt(tmp_path / "zero.csv", np.zeros((4, 4)), delimiter=",")
@@ -336,6 +325,17 @@ def test_a_bad_gain_file_is_an_input_error(tmp_path: Path, text: str, message: s
         read_gain(str(tmp_path / "none.csv"))
 
 
+@pytest.mark.filterwarnings("error")
+def test_gains_of_one_row_and_of_none(tmp_path: Path) -> None:
+    for text in ("1,2.5\n", "1\n-2\n", "3\n"):
+        (tmp_path / "gain.csv").write_text(text)
+        assert read_gain("gain.csv", tmp_path).tolist() == [
+            [float(word) for word in line.split(",")] for line in text.splitlines()]
+    (tmp_path / "gain.csv").write_text("")
+    with pytest.raises(InputError, match="is empty"):
+        read_gain("gain.csv", tmp_path)
+
+
 def test_what_a_design_needs() -> None:
     told = model()
     with pytest.raises(Unsupported, match="reception"):
@@ -343,5 +343,7 @@ def test_what_a_design_needs() -> None:
     assert told.linear is not None
     with pytest.raises(Unsupported, match="change with time"):
         error_system(replace(told, linear=replace(told.linear, constant=False)))
+    with pytest.raises(ValueError, match="shorter"):
+        error_system(replace(told, reception=Reception(0.5, 0.5, ((0,), (1,)), (1.0,))))
     with pytest.raises(Unsupported, match="varpi"):
         FastestDecay().design(replace(told, details={}))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
-from railstate.scenarios.channels import Channel, Sent
+from railstate.scenarios.channels import Channel, Sent, gilbert_elliott
 from railstate.scenarios.channels.gilbert_elliott import bursts
 from railstate.scenarios.files import load
 from railstate.scenarios.model import Reception
@@ -249,7 +249,11 @@ def test_how_late_a_packet_can_be(table, longest):
      "p has 2 probabilities for 1 nodes: one each is needed"),
     ({"kind": "random-access", "p": [0.5, 0.25], "nodes": [[0], [1]]}, "p must sum to 1, but sums to 0.75"),
     ({"kind": "random-access", "p": [0.5, 0.5 + 9e-10], "nodes": [[0], [1]]}, ""),
+    ({"kind": "random-access", "p": [0.5, 0.5 + 1.1e-9], "nodes": [[0], [1]]},
+     "p must sum to 1, but sums to 1.0000000011"),
     ({"kind": "markov-random-access", "transition": [[0.5, 0.5 + 9e-10], [0.5, 0.5]]}, ""),
+    ({"kind": "markov-random-access", "transition": [[0.5, 0.5], [0.5 + 1.1e-9, 0.5]]},
+     "transition must be square with rows that sum to 1; row 1 has 2 entries that sum to 1.0000000011"),
     ({"kind": "markov-random-access", "transition": [[0.0, 1.0], [1.0, 0.0]]}, ""),
     ({"kind": "markov-random-access"},
      "needs either transition (a row of probabilities a node) or stay (a probability)"),
@@ -299,6 +303,11 @@ def test_what_is_drawn_at_the_edges():
     assert moving.contending(Drawn(*draws), 9)[:, 1].tolist() == [2, 3, 3, 2, 2, 3, 4, 4, 4]
     assert bursts(Drawn(0.25, 0.25, 0.25 - LESS, 0.75, 0.75 - LESS), 5, 0.25, 0.75)[:, 0].tolist() == [
         False, False, True, True, False]
+    burst = {"kind": "gilbert-elliott", "p_good_bad": 0.5, "p_bad_good": 0.5, "p_good": 0.75, "p_bad": 0.25}
+    for state, p in ((0.9, 0.75), (0.1, 0.25)):  # the states are drawn from a stream of their own beside it
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(gilbert_elliott, "beside", lambda random, name, state=state: Drawn(state))
+            assert [first([draw], **burst) for draw in (p, p - LESS)] == [[False], [True]]
     nodes = [[0], [1]]
     assert first([0.25, 0.25 - LESS], kind="random-access", p=[0.25, 0.75], nodes=nodes) == [False, True]
     chain = [[0.25, 0.75], [0.5, 0.5]]
@@ -325,3 +334,7 @@ def test_who_carries_what_to_the_letter():
             ({"kind": "delay", "loss": {"kind": "round-robin", "nodes": [[1]]}}, 1, "x.loss.nodes list")):
         with pytest.raises(ValueError, match=re.escape(said)):
             channel(**table).check(ny, "x")
+    for kind in ({"kind": "round-robin"}, {"kind": "random-access", "p": [0.5, 0.5]}, {"kind": "markov-random-access",
+                                                                                       "stay": 0.5}):
+        with pytest.raises(ValueError, match=r"^channel\.nodes list the measurement elements 0, 2, but there are 2: "):
+            channel(**kind, nodes=[[0], [2]]).draw(streams(1)("channel"), 1, 2)

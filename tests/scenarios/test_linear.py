@@ -56,6 +56,7 @@ def setting(**changes: Any) -> LinearSystem:
     ("-k**2 / (1 + abs(-k)) % 3", lambda k: math.fmod(-(k**2) / (1 + k), 3)),
     ("2**-k * sqrt(4) + exp(0) - log(e)", lambda k: 2.0**-k * 2),
     (" +1e-3 ", lambda k: 1e-3),
+    ("k" + 199 * " ", float),
 ])
 def test_expressions_are_arithmetic_in_k(text, value):
     for k in range(8):

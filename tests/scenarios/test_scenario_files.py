@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from railstate.benchmarks.api.listing import scenario_lines
+from railstate.scenarios import strict
 from railstate.scenarios.files import load, merge
 from railstate.scenarios.keys import keys_of
 from railstate.scenarios.registry import scenario_files, settings
@@ -275,6 +276,13 @@ def test_every_key_says_what_it_is_and_in_which_unit(railstate: Command) -> None
     time = schema["$defs"]["metro.Time"]["properties"]["period"]
     assert time["description"] == "sampling period [s]" and time["unit"] == "s"
     assert "description" in schema["$defs"]["metro"]["properties"]["base"]
+
+
+def test_a_key_shows_its_unit_in_brackets_once() -> None:
+    found = [strict.key("length", *unit) for unit in ((), ("1",), ("m",), ("[m, s]",))]
+    assert [(one.description, one.json_schema_extra) for one in found] == [
+        ("length", None), ("length", {"unit": "1"}), ("length [m]", {"unit": "m"}),
+        ("length [m, s]", {"unit": "[m, s]"})]
 
 
 def bounded(part: Any) -> Iterator[tuple[int | None, int]]:
