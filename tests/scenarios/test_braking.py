@@ -259,3 +259,19 @@ def test_noise_held_over_a_step_is_half_of_it_on_the_way() -> None:
         assert before.process_covariance is not None
         plain = before.process_covariance(model.initial_mean, np.array([[-1.0]]), whole(0, 1.0))[:, :, 0]
         assert_allclose((Q - plain)[:2, :2], 0.05 * np.array([[0.25, 0.5], [0.5, 0.0]]), atol=1e-15)
+
+
+def test_numbers_of_a_file() -> None:
+    """Targets by straight lines from each step's beginning, the rate with its drift and jumps at its end."""
+    config = setting().config
+    steps = [[0.4 + 0.8e-9, -0.2], [0.6 + 1.2e-9, -0.1]]
+    plant = config.plant.model_copy(update={"target": [[0.2, -1.0], [0.6, -2.0]], "rate_start": 0.9,
+                                            "rate_drift": -0.1, "rate_steps": steps})
+    assert_allclose(plant.targets(0.2, 5), [-1.0, -1.0, -1.5, -2.0, -2.0], rtol=1e-12)
+    assert_allclose(plant.rates(0.2, 4), [0.88, 0.66, 0.64, 0.52], rtol=1e-12)
+    assert [config.disturbance.model_copy(update={"hold": hold}).entry(0.2).tolist() for hold in ("impulse", "held")
+            ] == [[0.0, 1.0, 0.0, 0.0], [0.1, 1.0, 0.0, 0.0]]
+    rows = [("displacement", 0, 0.42), ("speed", 1, 0.08), ("target-acceleration", 3, 1e-8)]
+    assert config.sensors.rows() == rows
+    assert config.sensors.model_copy(update={"control_acceleration_variance": 0.3}).rows() == [
+        *rows[:2], ("control-acceleration", 2, 0.3), rows[2]]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,6 @@ from railstate.scenarios.moving_block.control import (
 )
 from railstate.scenarios.moving_block.motion import reading
 from railstate.scenarios.moving_block.track import StadiumTrack
-from railstate.scenarios.moving_block.trains import TwoTrains
 from railstate.scenarios.randomness import Streams
 
 from ..models import part, whole
@@ -313,21 +310,3 @@ def test_two_trains_tags_are_read_in_their_order() -> None:
                 wanted[2 * train:2 * train + 2] = places[:, train, tag[train, run]]
             assert until[run] == at and y[:, run].tolist() == wanted.tolist()
             assert received[:, run].tolist() == [number < len(order) and order[number][1] == j // 2 for j in range(4)]
-
-
-def test_stops_and_tags_ahead() -> None:
-    """None within the tolerance of the start, none at or before the main stop; beyond the last stop it stays there."""
-    trains = SimpleNamespace(laps=1, stops=[[0, 1], [2], [0]], start=[0.75, 0.7, -1.0], stop_tolerance=0.25)
-    config: Any = SimpleNamespace(plant=SimpleNamespace(track=SimpleNamespace(stations=4), trains=trains),
-                                  sensors=SimpleNamespace(tags=SimpleNamespace(count=4)))
-    assert TwoTrains._stops(config, 4.0).tolist() == [
-        [4, 5, 8, 9, 12, 13], [2, 6, 10, 14, 14, 14], [4, 8, 12, 12, 12, 12]]
-    quarter = TRACK.length / 4
-    met, x, y = TwoTrains._tags(config, TRACK, np.array([[0.5 * quarter] * 3, [-quarter] * 3]), 6)
-    np.testing.assert_allclose(met / quarter, [np.arange(6) + 1.5, np.arange(6) - 0.5], rtol=1e-12)
-    for train in range(2):
-        np.testing.assert_allclose([x[train], y[train]], TRACK.points(met[train])[:2], rtol=1e-12)
-    for starts in ([1.0, 0.2], [4.0, 0.1], [0.3, -4.5]):
-        setting = load("moving-block", {"plant.trains.start": starts}).setting("law-p")
-        world = setting.world(Streams(1, "moving-block", "law-p", range(1)))
-        assert ((world.tag_s[:, 0] - starts) < TRACK.length / 12).all() and world.tag_s.shape == (2, 60)

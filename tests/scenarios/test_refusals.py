@@ -34,7 +34,16 @@ ningbo-metro plant.line.stops=[0.0,0.0] plant.line.stops=[100.0,50.0] plant.line
   faults=[{"kind":"student-t","sensors":["speed"],"dof":3.0,"told":True}]
   faults=[{"kind":"drift","sensors":["speed"],"rate":0.1},{"kind":"drift","sensors":["speed"],"rate":0.1}]
   sensors=5
-odometry plant.balises.positions=[10.0,12.0] plant.balises.positions=[10.0,11.9] plant.balises.platforms=[8884.0]
+ningbo-metro/aboard plant.balises={"positions":[0.0]} plant.balises={"positions":[0.1]}
+  plant.balises={"positions":[1900.0]} plant.balises={"positions":[1899.9]} plant.balises={"positions":[]}
+  sensors.use=["wheel-a","balise"] knowledge.odometry.motion="minmax" knowledge.odometry.motion="accelerometer"
+  channel={"kind":"round-robin","nodes":[[0,1,2,3]]}
+ningbo-metro knowledge.odometry.motion="wheel-a" knowledge.odometry.motion="minmax"
+  channel={"kind":"round-robin","nodes":[[0],[1]]} channel={"kind":"round-robin","nodes":[[0],[1,2]]}
+odometry plant.driver.asked=[-0.9,0.05] plant.driver.asked=[-0.9,0.0] plant.line.gradients=[[0.0,0.0],[8900.0,0.15]]
+  plant.line.gradients=[[0.0,0.0],[8899.0,0.15]] channel={"kind":"round-robin","nodes":[[0,1,2]]}
+  channel={"kind":"round-robin","nodes":[[0,1,2,3]]} plant.balises.platforms=[8884.0]
+  plant.balises.positions=[10.0,12.0] plant.balises.positions=[10.0,11.9]
   plant.balises.every=500.0 plant.driver.asked=[0.0,0.8] plant.driver.asked=[-0.85,0.8] plant.driver.asked=[-0.86,0.8]
   plant.driver.courage=[1.0,0.9] plant.driver.dwell=[20.0,20.0] plant.tunnels=[[5.0,5.0]]
   plant.tunnels=[[5.0,9.0],[8.0,10.0]] plant.adhesion.friction=[0.0,0.1] plant.adhesion.friction=[0.1,0.05]
@@ -61,12 +70,18 @@ cbtc-csma requirements=[{"name":"a","form":"allowance","constant":1.0,"share":0.
   channel={"kind":"round-robin","nodes":[[0],[0]]} channel={"kind":"round-robin","nodes":[[0],[7]]}
 moving-block plant.trains.stops=[[0,99],[0]] plant.trains.stops=[[1,0],[0]] plant.trains.start=[0.0,0.01]
   plant.trains.start=[99.0,0.0] sensors.tags.count=1 sensors.tags.count=400
-  channel={"kind":"bernoulli","p":0.5,"silent":"hold"}
+  channel={"kind":"bernoulli","p":0.5,"silent":"hold"} channel={"kind":"try-once-discard"}
+  channel={"kind":"delay","steps":1,"loss":{"kind":"bernoulli","p":0.5,"silent":"hold"}}
+  channel={"kind":"round-robin","nodes":[[0,1],[2,3]]} channel={"kind":"round-robin","nodes":[[0,1],[2,3,4]]}
+  plant.trains.start=[0.0,-4.941592653589793] plant.trains.start=[0.0,-4.941592653589792]
+  plant.trains.start=[0.0,-0.5399999988] plant.trains.start=[0.0,-0.5399999992] plant.trains.start=[0.043,-0.496999999]
+  plant.trains.top_speed=8.235987755982988 plant.trains.top_speed=8.23
   faults=[{"kind":"stuck","sensors":["x-a"],"from":1.0,"to":2.0}]
   faults=[{"kind":"student-t","sensors":["x-a"],"dof":3.0}]
   faults=[{"kind":"jump","sensors":["x-a"],"size":3.0,"truth":True}]
   faults=[{"kind":"stamps","sensors":["x-a"],"offset":0.1}]
 braking-rate plant.target=[[0.0,1.0],[0.0,2.0]] knowledge.grid=[1.0,0.5,0.7] knowledge.grid=[1.0,1.0]
+  channel={"kind":"round-robin","nodes":[[0],[1,2]]} channel={"kind":"round-robin","nodes":[[0],[1]]}
   knowledge.grid=[1.0,0.5] plant.rate_drift=-1.0 plant.target=[[1.0,1.0],[0.0,2.0]] time.steps=1 score.skip=150.0
   score.skip=149.0
 rap-example-1 knowledge.p=[0.5,0.5] knowledge.p=[0.5,0.6] plant.P0=[["k",0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]

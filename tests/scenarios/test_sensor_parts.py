@@ -35,12 +35,14 @@ class Drawn:
 
     def __init__(self) -> None:
         self.rng, self.told = np.random.default_rng(3), list[np.ndarray]()
+        self.asked = list[tuple[float, float]]()
 
     def _kept(self, values: np.ndarray) -> np.ndarray:
         self.told.append(values.copy())
         return values
 
     def uniform(self, low: float, high: float, *shape: int) -> np.ndarray:
+        self.asked.append((low, high))
         return self._kept(self.rng.uniform(low, high, (*shape, RUNS)))
 
     def normal(self, *shape: int) -> np.ndarray:
@@ -86,7 +88,9 @@ def test_balises() -> None:
             assert found.told[i, run] == place + min(max(sd * error[i, run], -limit), limit)
             assert found.read[i, run] == (i == 0 or chance[i, run] >= 0.6)
     assert not found.read.all() and (np.abs(found.told - found.place) == [[1.5], [0.2], [1.5], [1.5]]).any()
-    assert kind.variance(np.array([4.0])).tolist() == [25.0]
+    assert kind.variance(np.array([4.0])).tolist() == [25.0] and drawn.asked == [(0.0, 1.0)]
+    just = kind.model_copy(update={"missed": chance[2, 0]}).draw([10.0, 20.0, 35.0, 50.0], [], Drawn())  # pyright: ignore
+    assert just.read[2, 0] and just.read.tolist() == [[True] * RUNS, *(chance[1:] >= chance[2, 0]).tolist()]
 
 
 @pytest.mark.parametrize("irregular", [False, True])
@@ -114,6 +118,7 @@ def test_satellites(irregular: bool) -> None:
             known[k, run] = not any(begin - 4.0 <= position[k, run] <= end + 6.0 for begin, end in tunnels)
     np.testing.assert_allclose(y, wanted, rtol=1e-12, atol=1e-12)
     assert there.tolist() == known.tolist() and jumps > 3 and known.any() and not known[at].all()
+    assert drawn.asked == [(0.0, 1.0)] * 2
 
 
 def test_when_fixes_come() -> None:
@@ -135,6 +140,7 @@ def test_a_wheel(spread: Any) -> None:
     assert (np.abs(drawn.told[0]).max() > 1) == (spread == "gaussian")
     q = math.pi * 0.2
     assert kind.pulse == pytest.approx(q) and np.array_equal(too_far, 1 / scale - 1)
+    assert drawn.asked == [(-1.0, 1.0)] * (spread == "uniform") + [(0.0, 1.0)]
     assert np.array_equal(counts, np.floor(far / (scale * kind.pulse) + phase))
     np.testing.assert_allclose(kind.travelled(counts)[1:], q * (counts[1:] - counts[:-1]))
     np.testing.assert_allclose(kind.travelled(counts)[0], q * counts[0])

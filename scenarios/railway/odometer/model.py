@@ -231,7 +231,7 @@ class Odometer:
         """Of each sensor (ny,): its own variance where it tells none, a factor on either (of satellites the inflation),
         and what it is whatever it tells (of slipping axles the mode's), NaN of others."""
         names, slip = self.sensors, (self.told.slip.sd * self.period) ** 2
-        return (np.array([*self.deviations.values()], dtype=float) ** 2,
+        return (np.array([*self.deviations.values()]) ** 2,
                 np.array([self.told.gnss_inflation**2 if name in ("gnss", "position") else 1.0 for name in names]),
                 np.array([slip if name in slipping else np.nan for name in names]))
 

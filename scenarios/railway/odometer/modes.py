@@ -26,7 +26,7 @@ def slip_modes(odometer: Odometer, initial_mean: Array, tells: tuple[str, ...]) 
     enter, leave = slip.enter / total * moved, slip.leave / total * moved
     axle = np.array([[1 - enter, enter], [leave, 1 - leave]])
     for pattern in itertools.product((False, True), repeat=len(wheels)):
-        slipping = tuple(name for name, slips in zip(wheels, pattern, strict=True) if slips)
+        slipping = tuple(itertools.compress(wheels, pattern))
         name = " and ".join(name.removeprefix("wheel-") for name in slipping)
         modes.append(Mode(f"slip of {name}" if name else "no slip", odometer.model(initial_mean, tells, slipping)))
     for _ in wheels:
