@@ -5,8 +5,9 @@ Also the studies of minutes, which run when asked for (`pytest --long all`)."""
 from __future__ import annotations
 
 import hashlib
+import io
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -157,6 +158,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     config.hook.pytest_deselected(items=[item for item in items if left_out(item)])
     items[:] = sorted((item for item in items if not left_out(item)), key=lambda item: item.path.name not in FIRST)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def text_is_utf_8() -> Iterator[None]:
+    """No module of ours reads or writes text in the machine's own encoding."""
+    usual = io.text_encoding
+
+    def told(encoding: str | None, stacklevel: int = 2) -> str:
+        caller = sys._getframe(2).f_globals.get("__name__", "")
+        assert encoding or not caller.startswith("railstate."), f"{caller}: text without its encoding"
+        return usual(encoding, stacklevel)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(io, "text_encoding", told)
+        yield
 
 
 @pytest.fixture

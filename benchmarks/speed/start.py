@@ -45,8 +45,7 @@ def _row(words: tuple[str, ...], taken: float, what: str = "") -> Row:
 def _taken(words: tuple[str, ...], room: str | None = None, environment: dict[str, str] | None = None) -> float:
     program = [sys.executable, "-c", "from railstate.benchmarks.cli import main; main()", *words]
     begun = perf_counter()
-    done = subprocess.run(program, cwd=room, env={**os.environ, **(environment or {})}, capture_output=True, text=True,
-                          check=False)
+    done = subprocess.run(program, cwd=room, env={**os.environ, **(environment or {})}, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"railstate {' '.join(words)}: {done.stderr}")
     return perf_counter() - begun

@@ -37,7 +37,7 @@ def locked(folder: Path, command: str) -> Iterator[None]:
                 raise InputError(f"{folder}: is being written by {holder}; wait for it, or choose another --out"
                                  ) from None
             warnings.warn(f"{folder}: cannot be locked there ({error.strerror}): see that nothing else writes to it",
-                          stacklevel=2)
+                          stacklevel=3)
         _held.add(path)
         try:
             os.ftruncate(handle, 0)

@@ -41,14 +41,14 @@ def _put(table: dict[str, Any], key: str, value: Any, base: Mapping[str, Any], w
 
 def toml(label: str, entry: Mapping[str, Any], origin: str) -> str:
     """The entry as lines of a scenario file, its origin with it."""
-    lines = ["[origin]", f"{json.dumps(f'estimators.{label}')} = {plain(origin)}", "", f"[estimators.{label}]"]
+    lines = ["[origin]", f"{plain(f'estimators.{label}')} = {plain(origin)}", "", f"[estimators.{label}]"]
     return "\n".join([*lines, *(f"{key} = {plain(value)}" for key, value in entry.items()), ""])
 
 
 def plain(value: Any) -> str:
     """A value as TOML has it on one line."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key if re.fullmatch(r'[A-Za-z0-9_-]+', key) else json.dumps(key)} = {plain(item)}"
+        return "{ " + ", ".join(f"{key if re.fullmatch(r'[A-Za-z0-9_-]+', key) else plain(key)} = {plain(item)}"
                                 for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(plain, value)) + "]"

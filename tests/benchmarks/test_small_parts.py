@@ -10,8 +10,11 @@ import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from railstate.benchmarks.api import listing
 from railstate.benchmarks.api.results import load
 from railstate.benchmarks.judging.comparison import _other_truths, _settings
 from railstate.benchmarks.store.lock import LOCK, locked
@@ -93,3 +96,23 @@ def test_figures_are_written_as_what_there_is(results: Results, tmp_path: Path) 
         found.save(tmp_path, "gif")
     assert [path.name for path in found.save(tmp_path, "svg")] == [f"{name}.svg" for name in found]
     assert found._repr_html_().count("<figcaption>nees, ningbo-metro, ") == 3
+
+
+def test_estimators_that_do_not_import_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Told to who asked for the lines, in place of theirs."""
+    found = SimpleNamespace(summary="a filter", family="Kalman", needs=["linear"], claims=["covariance"], source="here")
+
+    class Few(dict[str, Any]):
+        def names(self) -> list[str]:
+            return ["bad", "good"]
+
+        def __missing__(self, name: str) -> Any:
+            raise InputError(f"plug-in {name}: no")
+
+    monkeypatch.setattr(listing, "Catalogue", lambda: Few(good=found))
+    with pytest.warns() as told:
+        lines = listing.estimator_lines()
+    assert lines == [{"estimator": "good", "about": "a filter", "family": "Kalman", "needs": ["linear"],
+                      "claims": ("mean", "covariance"), "source": "here"}]
+    assert [(str(one.message), one.category, one.filename) for one in told] == [
+        ("plug-in bad: no: left out", UserWarning, __file__)]

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ import pytest
 from railstate.benchmarks.commands.table import table
 from railstate.benchmarks.judging.table import verdicts_of
 from railstate.benchmarks.store.folder import Store
+from railstate.benchmarks.telling import over_settings
 from railstate.scenarios.errors import InputError
 
 from ..synthetic_results import write_results
@@ -95,3 +97,20 @@ def test_latex_compiles_without_a_warning(folder: Path, capsys: pytest.CaptureFi
     log = (tmp_path / "t.log").read_text(errors="replace")
     assert done.returncode == 0, log[-2000:]
     assert not re.findall(r".*(?:[Ww]arning|Overfull|Underfull).*", log)
+
+
+def test_one_table_of_twelve_settings_is_no_scenario_s(monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path,
+                                                       capsys: pytest.CaptureFixture[str]) -> None:
+    """Up to eleven, scenarios' names are in the label, each once; a file is as what is printed, and named."""
+    monkeypatch.setattr("railstate.benchmarks.commands.table.verdicts_of", lambda store: pd.DataFrame())
+    monkeypatch.setattr("railstate.benchmarks.telling.rankings.cells_of", lambda table, manifest: [])
+    for count, name in ((1, "s0"), (11, "s0-s1-s2"), (12, "settings"), (13, "settings")):
+        cells = [SimpleNamespace(scenario=f"s{k % 3}") for k in range(count)]
+        monkeypatch.setattr(over_settings, "grid", lambda *given, cells=cells: SimpleNamespace(cells=cells))
+        monkeypatch.setitem(over_settings.WRITERS, "md", lambda made, name: f"{len(made.cells)} {name} å\n")
+        assert printed(capsys, folder, format_="md") == f"{count} {name} å\n"
+        assert printed(capsys, folder, format_="md", out=str(tmp_path / "t.md")) == f"{tmp_path / 't.md'}\n"
+        assert (tmp_path / "t.md").read_text(encoding="utf-8") == f"{count} {name} å\n"
+    with pytest.raises(InputError) as caught:
+        table(str(folder), format_="md", out=str(tmp_path / "no" / "t.md"))
+    assert str(caught.value) == f"--out {tmp_path / 'no' / 't.md'}: cannot be written: No such file or directory"
