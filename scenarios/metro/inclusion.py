@@ -30,19 +30,16 @@ class Rectangles:
     def predict(self, low: Array, high: Array, u: Array, interval: Interval) -> tuple[Array, Array]:
         """Where the corners go, w_bar to either side; low, high (2, S). A gradient lasts longer than an interval of
         positions is wide, so that no edge but one lies in it."""
-        h = np.asarray(interval.length, dtype=float)
+        h = interval.length
         corners = np.stack([np.stack([s, v]) for s in (low[0], high[0]) for v in (low[1], high[1])], axis=1)
         moved = self.transition(corners, u, interval)
-        push = self.w_bar * np.stack(np.broadcast_arrays(0.5 * h * h, h))
-        push = push.reshape(2, -1)
+        push = self.w_bar * np.stack(np.broadcast_arrays(0.5 * h * h, h)).reshape(2, -1)
         return moved.min(axis=1) - push, moved.max(axis=1) + push
 
     def observe(self, low: Array, high: Array, measurement: Measurement) -> tuple[Array, Array]:
         """What agrees with the readings; where nothing does, a bound is wrong and the readings stand alone."""
         low, high = low.copy(), high.copy()
         for i, (state, bar) in enumerate(self.reads):
-            if not np.isfinite(bar) or not measurement.received[i].any():
-                continue
             below, above = measurement.y[i] - bar, measurement.y[i] + bar
             least, most = np.maximum(low[state], below), np.minimum(high[state], above)
             wrong = least > most

@@ -145,11 +145,9 @@ def _with_units(table: Table, chosen: dict[str, str], quality: dict[str, float |
 
 def _fitted(table: Table, out: dict[str, str], why: dict[str, str]) -> None:
     """Units that had to be supposed, as they fit the other columns."""
-    for role in [role for role in why if role in ("speed", "odometer", "acceleration", "reference_speed")]:
+    for role in [role for role in why if role in ("speed", "odometer", "reference_speed")]:
         try:
             for unit in ("m", "km") if role == "odometer" else ("m/s", "km/h", "mph", "kn"):
-                if role == "acceleration":
-                    return
                 name = out[role].rpartition(" [")[0]
                 tried = {key: value for key, value in out.items() if key in (
                     "time", "latitude", "longitude", "position", "reference_position")} | {role: f"{name} [{unit}]"}
@@ -162,7 +160,7 @@ def _fitted(table: Table, out: dict[str, str], why: dict[str, str]) -> None:
                     out[role], why[role] = f"{name} [{unit}]", f"its way is {ratio:.3g} times that of the position"
                     break
         except ValueError:
-            return
+            continue
 
 
 def described(table: Table, clock: str) -> pd.DataFrame:

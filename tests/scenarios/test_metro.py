@@ -272,3 +272,23 @@ def test_a_wave_is_a_sine_of_the_period_and_phase_that_were_drawn():
     found = wave(streams, [4.0, 9.0], 50, 0.2)
     period, phase = again.uniform(4.0, 9.0), again.uniform(0.0, 2 * np.pi)
     np.testing.assert_allclose(found, np.sin(2 * np.pi * 0.2 * np.arange(1, 51)[:, None] / period + phase), atol=1e-12)
+
+
+def test_balises_beside_a_line_of_several_stops():
+    changes = {"plant.line.stops": [0.0, 500.0, 900.0], "plant.balises": {"positions": [950.0]}}
+    with pytest.raises(InputError, match=r"aboard: plant.balises: none lies on the line, 0 .. 900 m$"):
+        load("ningbo-metro", changes, only="aboard").setting("aboard")
+
+
+def test_a_train_with_loads():
+    plant = setting().config.plant
+    loaded = plant.model_copy(update={"loads": [200e3, 260e3]})
+    assert plant.heaviest is plant.train and plant.ease.tolist() == [1.0] * (len(plant.line.stops) - 1)
+    assert loaded.heaviest == plant.train.model_copy(update={"mass": 260e3})
+    assert loaded.ease.tolist() == [plant.train.mass / 200e3, plant.train.mass / 260e3]
+    told = setting().config.knowledge
+    for moments, divisor in (("uniform", 3**0.5), ("gaussian", 3.0)):
+        told = told.model_copy(update={"moments": moments, "w_bar": 0.3, "v_bar": [1.0, 0.2]})
+        assert told.process_sd == 0.3 / divisor and told.sensor_sd.tolist() == [1.0 / divisor, 0.2 / divisor]
+    told = told.model_copy(update={"sigma_w": 0.07, "sigma_v": [0.5, 0.1]})
+    assert told.process_sd == 0.07 and told.sensor_sd.tolist() == [0.5, 0.1]

@@ -9,6 +9,7 @@ from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.registry import estimators
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, Measurement
+from railstate.scenarios.metro.inclusion import Rectangles
 from railstate.scenarios.randomness import Streams
 
 
@@ -77,3 +78,30 @@ def test_what_is_not_heard_changes_nothing_and_a_wrong_bound_leaves_the_readings
     estimator.update(Measurement(y, np.array([[False, True], [False, False]]), 0))
     assert (estimator.low[:, 0] == low[:, 0]).all() and estimator.low[1, 1] == low[1, 1]
     assert_allclose([estimator.low[0, 1], estimator.high[0, 1]], y[0, 1] + np.array([-1.0, 1.0]))
+
+
+def test_rectangles_by_loops():
+    """Corners and pushes run by run; readings cut what they agree with, to a point too, or stand alone."""
+    def transition(x, u, interval):
+        return np.stack([x[0] + interval.length * x[1], 0.9 * x[1] + u[0]])
+
+    found = Rectangles(transition, 0.5, ((0, 1.0), (1, np.inf), (1, 0.25)))
+    mean, start = np.array([[5.0, -3.0, 8.0], [2.0, 1.0, -1.0]]), np.array([2.0, 0.5])
+    inclusion = found.inclusion(mean, start)
+    assert_allclose(inclusion.low, [[3.0, -5.0, 6.0], [1.5, 0.5, -1.5]])
+    assert_allclose(inclusion.high, [[7.0, -1.0, 10.0], [2.5, 1.5, -0.5]])
+    u = np.array([[0.1, -0.2, 0.3]])
+    for length in (0.4, np.array([0.4, 0.1, 0.0])):
+        low, high = inclusion.predict(inclusion.low, inclusion.high, u, Interval(1, 0.0, length))
+        for r, h in enumerate(np.broadcast_to(length, 3)):
+            s, v = ([inclusion.low[i, r], inclusion.high[i, r]] for i in range(2))
+            places, speeds = [a + h * b for a in s for b in v], [0.9 * b + u[0, r] for b in v]
+            assert_allclose(low[:, r], [min(places) - h * h / 4, min(speeds) - h / 2], rtol=1e-12)
+            assert_allclose(high[:, r], [max(places) + h * h / 4, max(speeds) + h / 2], rtol=1e-12)
+    before = inclusion.low.copy()
+    y = np.array([[2.0, -9.0, np.nan], [99.0, np.nan, 7.0], [2.0, 1.0, -9.0]])
+    low, high = inclusion.observe(inclusion.low, inclusion.high, Measurement(y, np.array([
+        [True, True, False], [True, False, True], [True, False, True]]), 1))
+    assert_allclose(low, [[3.0, -10.0, 6.0], [1.75, 0.5, -9.25]])
+    assert_allclose(high, [[3.0, -8.0, 10.0], [2.25, 1.5, -8.75]])
+    assert np.array_equal(inclusion.low, before)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from railstate.benchmarks.store.folder import Store
 from railstate.scenarios.files import load
-from railstate.scenarios.measurement import Interval, untold
 from railstate.scenarios.odometry import plant
 from railstate.scenarios.odometry.world import OdometryWorld
 from railstate.scenarios.randomness import Streams
@@ -306,40 +305,3 @@ def test_a_world_lasts_a_twentieth_longer_than_the_slowest_trip(least: int) -> N
     made = world("dry", 2, time__steps=least, **driver)
     trip = made.ride.active.sum(axis=0)
     assert trip[0] == trip[1] and made.steps == max(least, int(np.ceil(1.05 * trip[0])))
-
-
-def test_whole_numbers_are_states_like_others() -> None:
-    for motion in ("accelerometer", "minmax"):
-        chosen = load("odometry", {"knowledge.motion": motion}).setting("wet-radar")
-        model = chosen.design_model({}, np.array([[100], [10]]))
-        x, u = np.arange(2 * model.nx).reshape(model.nx, 2), np.arange(14.0).reshape(7, 2)
-        assert model.transition_jacobian is not None and model.measurement_jacobian is not None
-        for share in (1.0, np.array([0.5, 1.0])):
-            over = Interval(3, 0.2, 0.1 * share, share)
-            np.testing.assert_array_equal(model.transition(x, u, over), model.transition(1.0 * x, u, over))
-        np.testing.assert_array_equal(model.measurement(x, 3), model.measurement(1.0 * x, 3))
-        np.testing.assert_array_equal(model.measurement_jacobian(x, 3), model.measurement_jacobian(1.0 * x, 3))
-
-
-def test_modes_of_slip() -> None:
-    """Each axle slips and recovers by itself, over a step exactly; dead reckoning and who has no wheel have none."""
-    rates = {"knowledge.slip.enter": 0.5, "knowledge.slip.leave": 2.0, "time.period": 0.2, "knowledge.slip.sd": 3.0}
-
-    def modes(use: list[str], **more: Any) -> Any:
-        setting = load("odometry", {**rates, "sensors.use": use, **more}, only="wet").setting("wet")
-        return setting.design_model({}, np.zeros((2, 1))).modes
-
-    enter, leave = expm(0.2 * np.array([[-0.5, 0.5], [2.0, -2.0]]))[[0, 1], [1, 0]]
-    one = np.array([[1 - enter, enter], [leave, 1 - leave]])
-    for use, names, transition in ((["wheel-a", "balise"], ["no slip", "slip of a"], one), (
-            ["wheel-a", "wheel-b"], ["no slip", "slip of b", "slip of a", "slip of a and b"], np.kron(one, one))):
-        found = modes(use)
-        assert [mode.name for mode in found.modes] == names
-        np.testing.assert_allclose(found.transition, transition, rtol=1e-12)
-        assert found.prior.tolist() == [1.0] + [0.0] * (len(names) - 1)
-        for mode in found.modes:
-            R = mode.model.measurement_covariance(untold(1, len(use)))[:, :, 0]
-            slips = [f"wheel-{axle}" in use and axle in mode.name.split()[2:] for axle in "ab"]
-            assert [R[i, i] == pytest.approx((3.0 * 0.2) ** 2) for i in range(2)] == slips
-    assert modes(["balise", "gnss"]) is None
-    assert modes(["wheel-a", "wheel-b", "balise"], **{"knowledge.motion": "minmax"}) is None

@@ -157,6 +157,14 @@ def test_steps_that_no_train_makes() -> None:
         np.testing.assert_allclose(far, ahead)
         seen += len(wrong)
     assert seen > 40
+    time, told = np.array([0.0, 1.0, 1.5, 4.0, 5.0, 8.0, 8.5, 9.0, 12.0]), np.array([1.0, 2, 0.5, 3, 1, 4, 2, 0.5, 1])
+    for k in range(2, 9):  # an even pace but for one step: just under and just over what may be
+        before, step = time[k - 1] - time[k - 2], time[k] - time[k - 1]
+        most = 5 + 3 * step * (before + step) / 2 + 4 * (
+            told[k - 1] + told[k] + (told[k - 2] + told[k - 1]) * step / before)
+        for share in (0.999, 1.001):
+            place = 8.0 * time + share * most * (np.arange(9) >= k)
+            assert (k - 1 in _jumping(time, place, told)[0]) == (share > 1)
 
 
 def test_fixes_beside_the_line() -> None:

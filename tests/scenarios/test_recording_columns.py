@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 from railstate.scenarios import units
 from railstate.scenarios.recorded.columns import Cells, Column
 from railstate.scenarios.recorded.inspecting import suggested
-from railstate.scenarios.recorded.readers import Table
+from railstate.scenarios.recorded.readers import Table, read
 from railstate.scenarios.recorded.readers.messages import DEEPEST, _numbers
 from railstate.scenarios.recorded.readers.table import table_of
 from railstate.scenarios.recorded.times import seconds
+
+from ..recordings import ride
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
@@ -94,3 +97,17 @@ def test_how_good_a_reading_is_goes_with_the_reading(columns: dict[str, Any], me
     found = suggested(table_of("t", {"t_s": np.arange(3.0), **{
         name: values if isinstance(values[0], str) else np.array(values) for name, values in columns.items()}}, ""))
     assert found.map == {"time": "t_s", **meant} and found.quality == quality
+
+
+@pytest.mark.parametrize("first", ["a", "odo", "v"])
+def test_units_are_found_in_any_order_of_columns(first: str, tmp_path: Path) -> None:
+    """By the way of the position, whatever stands before, also what cannot be read."""
+    true = ride()
+    columns = {"a": true.a_mps2, "odo": 7.0 + 0 * true.s_m, "v": 3.6 * true.v_mps}
+    true[["t_s", "s_m"]].assign(**{first: columns[first], **columns}).to_csv(tmp_path / "trip.csv", index=False)
+    found = suggested(read(str(tmp_path / "trip.csv")))
+    assert found.map == {"time": "t_s", "position": "s_m", "speed": "v [km/h]", "odometer": "odo [m]",
+                         "acceleration": "a [m/s^2]"}
+    supposed = "supposed: the name tells no unit"
+    assert found.why == {"speed": "its way is 1 times that of the position", "odometer": supposed,
+                         "acceleration": supposed}

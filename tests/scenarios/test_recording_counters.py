@@ -49,7 +49,7 @@ def test_a_fall_that_nothing_explains(counted: Any, wrap: float | None, said: st
 def test_the_step_of_a_counter() -> None:
     """Where it stands still at more than a tenth of the samples at over 1 m/s; a standing train tells nothing."""
     counted = np.array([0.0, 5, 5, 10, NAN, 15, 25, 25, 25])
-    assert step_of(counted, np.full(9, 1.1)) == 5.0
+    assert step_of(counted, np.full(9, 1.1)) == 5.0 and step_of(0.1 * counted, np.full(9, 1.1)) == 0.5
     assert step_of(counted, np.array([2, 2, 1.0, 2, 2, 2, 2, 1.0, 1.0])) == 0.0
     ten = np.concatenate([[0.0], np.cumsum([3.0] * 9 + [0.0])])
     assert step_of(ten, np.full(11, 9.0)) == 0.0 and step_of(ten[1:], np.full(10, 9.0)) == 3.0

@@ -75,7 +75,7 @@ GIVEN: dict[str, bytes] = {
     "short.csv": b"t,x,y\n0,1,2\n1,2\n", "long.csv": b"t,x\n0,1\n\n1,2,3\n", "trailing.csv": b"t,x\n0,1,\n1,2,\n",
     "half.csv": b"t;x;y\n0;1;2\n1;2\n", "twice.csv": b"t,x,x\n0,1,2\n", "unnamed.csv": b"t,,x\n0,1,2\n",
     "numbers.csv": b"0,1\n1,2\n2,3\n", "one-column.csv": b"t\n0\n1\n", "names-only.csv": b"t,x\n",
-    "mac.csv": b"t,x\r0,1\r",
+    "mac.csv": b"t,x\r0,1\r", "dollar.csv": b"$-speed;t\n1;2\n",
     "page.xml": b"<?xml version='1.0'?><html/>", "empty.gpx": b"<gpx></gpx>", "broken.gpx": b"<gpx><trk>",
     "level5.mat": b"MATLAB 5.0 MAT-file", "level7.mat": b"\x89HDF\r\n\x1a\n", "bag.db3": b"SQLite format 3\0",
     "wrong.parquet": PLAIN.encode(), "cut.pq": b"PAR1abc", "wrong.mcap": PLAIN.encode(), "wrong.mf4": b"MDX",

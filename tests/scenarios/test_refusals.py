@@ -84,6 +84,7 @@ braking-rate plant.target=[[0.0,1.0],[0.0,2.0]] knowledge.grid=[1.0,0.5,0.7] kno
   channel={"kind":"round-robin","nodes":[[0],[1,2]]} channel={"kind":"round-robin","nodes":[[0],[1]]}
   knowledge.grid=[1.0,0.5] plant.rate_drift=-1.0 plant.target=[[1.0,1.0],[0.0,2.0]] time.steps=1 score.skip=150.0
   score.skip=149.0
+braking-rate/static plant.rate_start=0.0 plant.rate_start=0.1 plant.rate_drift=-0.006
 rap-example-1 knowledge.p=[0.5,0.5] knowledge.p=[0.5,0.6] plant.P0=[["k",0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]
   plant.A=[] plant.A=[1.0,0.0]
   plant.A=[[[1.0,0.0],[0.0,1.0]],[[1.0]]] plant.A=[[1.0,"x"],[0.0,1.0]] plant.A=[[1.0,True],[0.0,1.0]]
