@@ -91,8 +91,8 @@ def held(arrived: Arrived) -> Arrived:
     first reading on every step has one."""
     steps = len(arrived.y)
     y, received = np.zeros_like(arrived.y), np.zeros_like(arrived.received)
-    register, stamp = np.zeros_like(y[0]), np.full(y.shape[1:], -1)
-    depth = 0 if arrived.late is None else int(arrived.late.max(initial=0))
+    register, stamp = np.array(0.0), np.array(-1)
+    depth = 0 if arrived.late is None else int(arrived.late.max())
     for k in range(steps):
         for age in range(min(depth, k), -1, -1):
             comes = arrived.received[k] if age == 0 else late_by(arrived, k - age, age)

@@ -60,7 +60,7 @@ class Delay(Base):
         if self.reorder:
             return drawn
         stamps = np.arange(steps)[:, None]
-        return np.maximum.accumulate(drawn + stamps, axis=0) - stamps
+        return np.maximum.accumulate(drawn + stamps) - stamps
 
     def draw(self, random: RunRandom, steps: int, ny: int) -> Mask:
         return self.loss.draw(random, steps, ny)

@@ -47,9 +47,12 @@ def test_direct_holds_each_element() -> None:
 def test_direct_solves_a_mixing_measurement() -> None:
     c = np.array([[1.0, 2.0], [3.0, 4.0]])
     estimator = Direct()
-    estimator.start(square(1, c), 1, models.random(1))
-    estimator.update(heard(c @ np.array([[5.0], [-1.0]]), np.array([[True], [True]])))
+    model, received = square(20, c), np.zeros((2, 20), dtype=bool)
+    received[:, 0] = True
+    estimator.start(model, 20, models.random(20))
+    estimator.update(heard(np.repeat(c @ np.array([[5.0], [-1.0]]), 20, axis=1), received))
     np.testing.assert_allclose(estimator.estimate().mean[:, 0], [5.0, -1.0], rtol=1e-12)
+    np.testing.assert_array_equal(estimator.estimate().mean[:, 1:], model.initial_mean[:, 1:])  # nothing was heard
 
 
 @pytest.mark.parametrize(("model", "why"), [

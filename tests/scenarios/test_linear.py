@@ -88,7 +88,8 @@ def test_a_matrix_a_step_equals_its_expression():
 
 @pytest.mark.parametrize(("changes", "message"), [
     ({"plant.A": [[1, 0], [0]]}, "plant.A: has rows of different lengths"),
-    ({"plant.A": []}, "plant.A: must be a list of rows"),
+    *(({"plant.A": rows}, "plant.A: must be a list of rows such as .*, or a list of such matrices") for rows in (
+        [], [[]], [[1], []], [1, 2], [[[1]], [[]]], [[[1]], []])),
     ({"plant.A": [[1, 0, 0]] * 3}, "trial.toml: plant.A is 3 x 3, must be 2 x 2"),
     ({"plant.A": [["cos(q)", 0], [0, 1]]}, r"plant.A: entry \[0\]\[0\]: .*q is not allowed; allowed: numbers, k"),
     ({"plant.A": [[True, 0], [0, 1]]}, r"entry \[0\]\[0\]: True is neither"),

@@ -78,6 +78,10 @@ def test_which_settings_count(recwarn: pytest.WarningsRecorder) -> None:
         "plug-in nothing is left out: no subclass of railstate.scenarios.setting.Setting",
         "plug-in own is left out: there is a setting of kind own already",
         "plug-in word is left out: no subclass of railstate.scenarios.setting.Setting"]
+    assert [one.filename for one in recwarn.list] == [registry.__file__] * 2 + [__file__] * 4
+    recwarn.clear()
+    registry.load_group(registry.GROUP)
+    assert [one.filename for one in recwarn.list] == [__file__] * 2
     assert os._exit is leave and signal.getsignal(signal.SIGTERM) is usual
 
 

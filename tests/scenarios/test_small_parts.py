@@ -1,9 +1,10 @@
 """Small parts that all settings share, whole: measurements and courses, where a design model starts, what is said of
-tables that do not fit."""
+tables that do not fit, what a setting is that says nothing of itself."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,7 +13,8 @@ from pydantic import Field, ValidationError
 from railstate.scenarios import measurement
 from railstate.scenarios.errors import describe
 from railstate.scenarios.measurement import Course, Interval
-from railstate.scenarios.schema import Strict
+from railstate.scenarios.schema import Empty, Strict
+from railstate.scenarios.setting import Quantity, Setting
 
 from .. import models
 
@@ -127,3 +129,50 @@ def test_places_as_pydantic_has_them_where_the_table_is_not_known() -> None:
     assert describe(caught.value, Shapes) == [
         "one.square.from: missing", f"one.square.no: {UNKNOWN}kind, from, name",
         f"size.float: {NUMBER} (got [1.0, 'x'])", f"size.list[float].1: {PARSED} (got 'x')"]
+
+
+class Known(Strict):
+    shape: Shape = Round(kind="round", radius=1.0)
+    pair: dict[str, float] = {}
+    size: float = 2.0
+
+
+class Bare(Setting[Any]):
+    """What has to be defined, and no more."""
+
+    kind = "bare"
+
+    def quantities(self) -> tuple[Quantity, ...]:
+        return (Quantity("a", "m", ((0, 1.0),)), Quantity("b", "s", ((1, 1.0),)))
+
+    def world(self, streams: Any) -> Any:
+        raise AssertionError
+
+    def design_model(self, knowledge: Any, initial_mean: Any) -> Any:
+        return models.linear(initial_mean.shape[1])
+
+
+def test_a_setting_that_says_nothing_of_itself() -> None:
+    config: Any = SimpleNamespace(channel=Empty(), notes=["n"], time=SimpleNamespace(steps=7, period=0.5))
+    bare = Bare(config)
+    assert (bare.notes, bare.sampling_period, bare.matched(3), bare.uncertified, bare.sensing(), bare.extras({}),
+            bare.split(True), bare.outcomes(SimpleNamespace(), {}), bare.batch_bytes(), bare.chosen({}, {})) == (  # pyright: ignore
+        ["n"], 0.5, None, {}, None, {}, {}, {}, 7 * 320, [])
+    assert bare.table() == (("rmse", "a"), ("rmse", "b"), ("nees", "state"), ("coverage", "ellipsoid"))
+    assert bare.told({}, {}, np.zeros((3, 2))).appended == 0
+
+
+@pytest.mark.parametrize(("own", "over", "told"), [
+    ({}, {}, {}), ({"size": 3.0}, {}, {"size": 3.0}), ({"size": 3.0}, {"size": 4.0}, {"size": 4.0}),
+    ({"pair": {"a": 1.0}}, {"pair": {"b": 2.0}}, {"pair": {"a": 1.0, "b": 2.0}}),
+    ({}, {"pair": {"b": 2.0}}, {"pair": {"b": 2.0}}),
+    ({"shape": {"kind": "round", "radius": 3.0, "name": "c"}}, {"shape": {"radius": 4.0}},
+     {"shape": {"kind": "round", "radius": 4.0, "name": "c"}}),
+    ({"shape": {"kind": "round", "radius": 3.0, "name": "c"}}, {"shape": {"kind": "round", "radius": 4.0}},
+     {"shape": {"kind": "round", "radius": 4.0}})])
+def test_what_is_told_otherwise(own: dict[str, Any], over: dict[str, Any], told: dict[str, Any]) -> None:
+    """A table within changes what it names, one of a kind replaces it; what nobody says stays unsaid."""
+    config: Any = SimpleNamespace(knowledge=Known.model_validate(own))
+    assert Bare(config).resolve_knowledge(over).model_dump(exclude_unset=True) == told
+    with pytest.raises(ValidationError):
+        Bare(config).resolve_knowledge({"shape": {"no": 1}})
