@@ -18,7 +18,7 @@ import typer
 from railstate.benchmarks.api.results import Figures, Results, load
 from railstate.benchmarks.commands.check import check
 from railstate.benchmarks.commands.report import PUBLISHED, _published, report
-from railstate.benchmarks.conformance import Finding, Report
+from railstate.benchmarks.conformance import Finding, Report, checking
 from railstate.benchmarks.isolation.process import Ended
 from railstate.benchmarks.planning.catalogue import Catalogue
 from railstate.benchmarks.planning.plan import make_plan
@@ -28,6 +28,7 @@ from railstate.benchmarks.store.manifest import description, stored_cell, stored
 from railstate.benchmarks.studies.entries import plain, put, toml
 from railstate.estimators.interface import Status
 from railstate.estimators.registry import GIVEN
+from railstate.estimators.sigma_point import UnscentedKalman
 from railstate.scenarios.errors import InputError
 
 
@@ -231,3 +232,30 @@ def test_figures_are_saved_into_any_folder(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             figures.save(tmp_path / place, kind)
         assert str(caught.value) == said and len(saved) == 6 and not (tmp_path / "d").exists()
+
+
+def test_a_class_that_is_not_checked_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parameters that cannot be, all at once; an __init__ of its own; needs that are none of a design model's."""
+    def case(*given: Any) -> Any:
+        raise error
+
+    monkeypatch.setattr(checking, "scenario_case", case)
+    error: Exception = LookupError("so far")
+    with pytest.raises(LookupError, match="so far"):
+        checking.conform(UnscentedKalman, "ukf", {"alpha": 0.5})
+    with pytest.raises(InputError) as caught:
+        checking.conform(UnscentedKalman, "ukf", {"alpha": "wide", "gamma": 1})
+    assert [line.partition(":")[0] for line in str(caught.value).splitlines()] == [
+        "parameters.alpha", "parameters.gamma"]
+    for error in (TypeError("no parameters"), AttributeError("no parameters")):
+        report = checking.conform(UnscentedKalman, "ukf", {})
+        (found,) = report.findings
+        assert (report.kept, report.left_out, found.rule, found.case, found.expected, found.mend) == (
+            {}, {}, "runs", "the class", "it can be made from its parameters",
+            "let __init__(self, parameters=None) call super().__init__(parameters)")
+        assert f"{type(error).__name__}: no parameters" in found.happened
+    for needs in ("linear", ("linear", "wheels")):
+        monkeypatch.setattr(UnscentedKalman, "needs", needs)
+        assert checking.conform(UnscentedKalman, "ukf", {}) == Report({}, {}, [Finding(
+            "description", "the class", "needs = (..) names parts of DesignModel", f"needs = {needs!r}",
+            'a tuple of names, such as needs = ("linear",)')])
