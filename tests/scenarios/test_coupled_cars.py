@@ -6,8 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 from railstate.benchmarks.running.drive import drive, prepare
 from railstate.estimators.registry import estimators
+from railstate.scenarios.channels import Channel
+from railstate.scenarios.coupled_cars.config import Command, of_cars
 from railstate.scenarios.coupled_cars.plant import largest_force, matrices, simulate
 from railstate.scenarios.coupled_cars.setting import CoupledCars
 from railstate.scenarios.errors import InputError
@@ -213,3 +216,23 @@ def test_sums_of_the_page(variant: str, label: str, low: float, high: float) -> 
 def test_bad_input_names_the_field(key: str, value: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         load("cbtc-csma", {key: value})
+
+
+def test_forces_of_the_cars_that_are_driven() -> None:
+    plant = setting().config.plant.model_copy(update={"cars": 4, "commands": [
+        Command(start=0, end=1.0, middle=2.0), Command(start=2, end=3.0, middle=4.0)]})
+    assert plant.driven == [0, 1, 2, 3] and plant.forces(5).tolist() == [
+        [0, 0, 0, 0], [1, 2, 2, 1], [1, 2, 2, 1], [3, 4, 4, 3], [3, 4, 4, 3]]
+    ends = plant.model_copy(update={"drive": "push-pull"})
+    assert ends.driven == [0, 3] and ends.forces(4).tolist() == [[0, 0], [1, 1], [1, 1], [3, 3]]
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize(("own", "nodes"), [((), [[0, 2], [1, 3]]), ([[0], [1, 2, 3]], [[0], [1, 2, 3]])])
+def test_each_car_is_a_node_where_none_are_given(late: bool, own: Any, nodes: list[list[int]]) -> None:
+    inner = {"kind": "round-robin", **({"nodes": own} if own else {})}
+    channel: Any = TypeAdapter(Channel).validate_python({"kind": "delay", "steps": 1, "loss": inner} if late else inner)
+    found: Any = of_cars(channel, 2)
+    assert [list(node) for node in (found.loss if late else found).nodes] == nodes
+    other: Any = TypeAdapter(Channel).validate_python({"kind": "bernoulli", "p": 0.5})
+    assert of_cars(other, 2) is other

@@ -57,3 +57,20 @@ def test_stops_and_tags_ahead() -> None:
         setting = load("moving-block", {"plant.trains.start": starts}).setting("law-p")
         world = setting.world(Streams(1, "moving-block", "law-p", range(1)))
         assert ((world.tag_s[:, 0] - starts) < TRACK.length / 12).all() and world.tag_s.shape == (2, 60)
+
+
+def test_what_a_run_comes_to() -> None:
+    """Errors of each train and their mean, the gap, and laps, NaN where one was not ended."""
+    setting = load("moving-block", {"plant.trains.laps": 2}).setting("law-p")
+    squared, least = np.array([[4.0, 0], [9, 0], [36, 0], [1, 0]]), 0.27 - np.array([1.2e-9, 0.8e-9])
+    records = SimpleNamespace(squared=squared, counted=np.array([[4, 0], [1, 0], [9, 0], [1, 0]]), gap_least=least,
+                              gap_sum=np.array([6.0, 9.0]), driven=np.array([4, 3]))
+    world: Any = SimpleNamespace(records=records, lap_times=np.array([[10.0, 12.0], [14.0, np.nan]]))
+    rmse = {"x": 1.5, "y": 2.0, "x-a": 1.0, "y-a": 3.0, "x-b": 2.0, "y-b": 1.0}
+    expected = {**{("rmse-per-train", name, "m"): [value, 0.0] for name, value in rmse.items()},
+                ("mean", "gap", "m"): [1.5, 3.0], ("min", "gap", "m"): least, ("violations", "gap", "1"): [1.0, 0.0],
+                ("mean", "lap", "s"): [6.0, np.nan], ("unfinished", "lap", "1"): [0.0, 1.0]}
+    found = setting.outcomes(world, {})
+    assert list(found) == list(expected)
+    for key, values in expected.items():
+        np.testing.assert_array_equal(found[key], values)

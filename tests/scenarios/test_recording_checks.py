@@ -88,6 +88,7 @@ def spoilt() -> dict[str, tuple[Array, Columns, Columns]]:
             add(f"{value:g} beside {least:g} .. {most:g}", lambda columns, value=value, least=least, most=most: [
                 put(columns, "position", slice(None), np.sign(value) * np.linspace(least, most, 400)),
                 put(columns, "position", 7, value)])
+    add("marked beside huge", lambda columns: put(columns, "position", slice(7, 9), np.array([1e9, -9999.0])))
     add("uneven", clock=lambda time: time - 0.8 * (time % 2))
     for role in ("position", "speed", "odometer", "acceleration", "reference_position"):
         add(f"{role} huge", lambda columns, role=role: put(columns, role, 77, 1e12))

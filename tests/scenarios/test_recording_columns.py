@@ -91,6 +91,8 @@ def test_units_agree_with_each_other() -> None:
      {"position": "s [m]", "speed": "v [m/s]", "position_sd": "fix"}, {"GNSS": 3.0}),
     ({"lat": [1.0, 2, 3], "lon": [1.0, 2, 3], "accuracy": [1.0, 2, 3]},
      {"latitude": "lat", "longitude": "lon", "position_sd": "accuracy [m]"}, {}),
+    ({"s_m": [1.0, 2, 3], "fix": ["GNSS", " ", "NaN"]}, {"position": "s_m", "position_sd": "fix"}, {"GNSS": 3.0}),
+    ({"s_m": [1.0, 2, 3], "fix": ["GNSS", "none", "odd"]}, {"position": "s_m"}, {}),
     ({"s_m": [1.0, 2, 3], "accuracy_cm": [1.0, 2, 3]}, {"position": "s_m", "position_sd": "accuracy_cm"}, {})])
 def test_how_good_a_reading_is_goes_with_the_reading(columns: dict[str, Any], meant: dict[str, str],
                                                      quality: dict[str, float]) -> None:

@@ -58,6 +58,7 @@ cbtc-csma requirements=[{"name":"a","form":"allowance","constant":1.0,"share":0.
   plant.commands=[{"start":1,"end":1.0,"middle":1.0}]
   plant.commands=[{"start":0,"end":1.0,"middle":1.0},{"start":0,"end":1.0,"middle":1.0}]
   plant.commands=[{"start":0,"end":1,"middle":1},{"start":5,"end":1,"middle":1},{"start":4,"end":1,"middle":1}]
+  knowledge.trains=[5,2] knowledge.trains=[2,2]
   plant.cars=3 plant.masses=[1.0] plant.commands=[[1,0.5]] channel.trains=[5,2] channel.trains=[2,2]
   channel.traffic=constant headway.speeds=[65.0,65.5] channel={"kind":"try-once-discard","nodes":[[0],[0]]}
   channel={"kind":"random-access","nodes":[[0],[1]],"p":[0.5,0.6]}
