@@ -9,6 +9,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,10 +18,12 @@ import pytest
 from railstate.benchmarks.api import listing
 from railstate.benchmarks.api.results import load
 from railstate.benchmarks.judging.comparison import _other_truths, _settings
+from railstate.benchmarks.planning import naming
 from railstate.benchmarks.store.lock import LOCK, locked
 from railstate.benchmarks.studies.deadline import Overdue, within
 from railstate.benchmarks.telling.figures.data import Results
 from railstate.scenarios.errors import InputError
+from railstate.scenarios.files import Scenario
 
 
 def test_what_differs_between_two_manifests() -> None:
@@ -116,3 +119,40 @@ def test_estimators_that_do_not_import_are_left_out(monkeypatch: pytest.MonkeyPa
                       "claims": ("mean", "covariance"), "source": "here"}]
     assert [(str(one.message), one.category, one.filename) for one in told] == [
         ("plug-in bad: no: left out", UserWarning, __file__)]
+
+
+def test_what_a_scenario_s_name_means(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of its variants but those on request, one, or a pattern's; whose file lies in a folder has a slash."""
+    loaded, checked = list[Any](), list[str]()
+
+    class Fake(Scenario):
+        def setting(self, variant: str) -> Any:
+            checked.append(variant)
+
+    made = Fake("s", "s.toml", {"a": {}, "a-b": {}, "c": {}, "B": {}}, "a", {"a-u": ["x", "y"], "v": ["z"]},
+                requested=frozenset({"c", "v"}))
+
+    def load(*given: Any) -> Scenario:
+        loaded.append(given)
+        return made
+
+    monkeypatch.setattr(naming, "load", load)
+    monkeypatch.setattr(naming, "scenario_files", lambda: ("s", "of/s"))
+    plain, some = ("a", "a-b", "B"), ["variant a-u is left out: x; y"]
+    for word, variants, heard, asked in (
+            ("s", plain, some, ("s", None)), ("of/s", plain, some, ("of/s", None)),
+            ("x/s.toml", plain, some, ("x/s.toml", None)), ("s/c", ("c",), [], ("s", None, "c")),
+            ("x/s.toml/c", ("c",), [], ("x/s.toml", None, "c")), ("s/a*", ("a", "a-b"), some, ("s", None)),
+            ("s/b*", (), [], ("s", None)),
+            ("s/*", ("a", "a-b", "c", "B"), [*some, "variant v is left out: z"], ("s", None))):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            try:
+                assert naming.find(word) == (made, variants)
+            except InputError as error:
+                assert str(error) == f"{word}: there is no such variant; allowed: a, a-b, c, B, a-u, v" and not variants
+        assert [(one.filename, str(one.message)) for one in said] == [(__file__, f"s.toml: {text}") for text in heard]
+        assert (loaded.pop(), loaded, checked) == (asked, [], list(asked[2:])), word
+        checked.clear()
+    assert naming.find_one("s", {"k": 1}) == (made, "a") and naming.find_one("s/c") == (made, "c")
+    assert loaded[-2:] == [("s", {"k": 1}), ("s", None, "c")] and set(checked) == {"a", "c"}
