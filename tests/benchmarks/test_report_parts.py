@@ -37,17 +37,23 @@ def test_published_cells_of_a_paper() -> None:
     assert paper[:3] == ("n", "A (2020): T. R.", [("reproduced", 1), ("fitted", 2), ("unreachable", 1)])
     assert published.sentence([paper, paper]) == "Of 8 published numbers: 2 reproduced, 4 fitted, 2 unreachable."
     assert published.sentence([]) == ""
-    table = paper.table
-    assert [head[0] for head in table.heads] == ["published", "here", "unit", "verdict", "note", "y", "z"]
+    table, heads = paper.table, ("published", "here", "unit", "verdict", "note", "y", "z")
+    assert table.heads == [(head, "here|low|high" if head == "here" else head, head not in heads[2:5])
+                           for head in heads]
     assert table.notes == ["x: as printed.", "z: mended.", "1: first", "2: second"]
-    assert table.caption.endswith("interval; further readings to the right.")
-    shown = {name: [(str(entry.html), entry.data) for entry in entries] for name, entries in table.lines}
-    assert [len(one) for one in shown.values()] == [7] * 4 and shown["II: c"][2] == ("m", "")
-    assert shown["I: a"][1] == ("1.25 ± 0.20", "1.25|1.054|1.446") and shown["I: a"][0] == ("1.5", "1.5")
-    assert shown["II: c"][1][1] == "123456||" and shown["III: d"][1] == ("", "") == shown["I: b"][1]
-    assert shown["I: a"][5][1] == "2.5" and shown["I: a"][6] == ("", "") == shown["I: b"][6]
-    assert shown["III: d"][6] == ("7.000", "7") and "<sup>2</sup>" in shown["III: d"][4][0]
-    assert [name for name in shown if "<sup>1</sup>" in shown[name][4][0]] == ["I: a", "I: b"]
+    assert table.caption == ("Here: under the reading that stands for the paper, ± half of the 95 % interval; further "
+                             "readings to the right.")
+    fitted, none = ('<span class="c outline">~ fitted</span>', "fitted"), ("", "")
+    lines = {
+        "I: a": (("1.25 ± 0.20", "1.25|1.054|1.446"), ('<span class="c tie">✓ reproduced</span>', "reproduced"), 1,
+                 ('<span class="c w2">✗ 2.500</span>', "2.5"), none),
+        "I: b": (none, ('<span class="c none">– unreachable</span>', "unreachable"), 1, none, none),
+        "II: c": (("1.235·10⁵", "123456||"), fitted, 0, none, none), "III: d": (none, fitted, 2, none, ("7.000", "7"))}
+    for (name, entries), (wanted, (here, verdict, note, *others)) in zip(table.lines, lines.items(), strict=True):
+        words = (("1.5", "1.5"), here, ("m", ""), verdict, (f"<sup>{note}</sup>" * bool(note), ""), *others)
+        assert (name, entries) == (wanted, [(*pair, place not in (2, 3, 4)) for place, pair in enumerate(words)])
+    alone = {**document["papers"][0], "groups": groups[3:]}
+    assert published.papers({"papers": [alone]})[0].table.caption.endswith("± half of the 95 % interval.")
     with pytest.raises(InputError, match=r"reproduce writes them into published\.json: KeyError: 'groups'$"):
         published.papers({"papers": [{}]})
 

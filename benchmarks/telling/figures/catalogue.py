@@ -137,7 +137,7 @@ def of_scenario(figure: Figure, cells: Sequence[CellResults]) -> Iterator[tuple[
         canvas = figure.draw_all(cells)
         if canvas:
             yield "", canvas
-    for cell in cells if figure.draw else ():
+    for cell in cells:
         canvas = figure.draw(cell) if figure.draw else None
         if canvas:
             yield cell.variant, canvas
