@@ -54,13 +54,12 @@ class PhaseErrors(WindowErrors):
         speeds = [item for item in quantities if item.unit == "m/s" and item.mean]
         places = [item for item in quantities if item.unit == "m" and item.mean]
         super().__init__(PHASES if speeds else (), [*places[:1], *speeds[:1]] if speeds else (), runs)
-        self.speed = speeds[0].components[0][0] if speeds else -1
         self.before = np.full(runs, np.nan)
 
     def add(self, stretch: Stretch, skip: int) -> None:
         """Score steps from the world's step `skip` on; of those before only the speed counts."""
         if self.names:
             phase = np.empty(stretch.active.shape, dtype=np.int16)
-            driving_phases(stretch.truth[:stretch.count], self.speed, stretch.length, self.before,
-                           phase[:stretch.count])
+            (speed, _), *_ = self.quantities[-1].components
+            driving_phases(stretch.truth[:stretch.count], speed, stretch.length, self.before, phase[:stretch.count])
             self._add(stretch, skip, phase)

@@ -95,8 +95,6 @@ def latex(text: object) -> str:
 def _tex(letter: str) -> str:
     if letter in _LATEX:
         return _LATEX[letter]
-    if letter.isascii():
-        return letter
     base, *accents = unicodedata.normalize("NFD", letter)
     if base.isascii() and all(accent in _ACCENTS for accent in accents):
         for accent in accents:

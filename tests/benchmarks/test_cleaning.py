@@ -43,7 +43,9 @@ def test_csv_holds_no_formula_and_the_same_numbers() -> None:
     frame = pd.DataFrame({"label": ["=cmd()", "+1", "-x", "@a", "ekf"],
                           "value": [-1.5, 0.1 + 0.2, 1e-300, float("nan"), 2],
                           "mixed": [-3, "-3", True, None, "-"]})
-    read = list(csv.DictReader(io.StringIO(cleaning.csv(frame))))
+    text = cleaning.csv(frame)
+    read = list(csv.DictReader(io.StringIO(text)))
+    assert text.splitlines()[:2] == ["label,value,mixed", "'=cmd(),-1.5,-3"]
     assert [row["label"] for row in read] == ["'=cmd()", "+1", "'-x", "'@a", "ekf"]
     plain = list(csv.DictReader(io.StringIO(frame.to_csv(index=False))))
     assert [row["value"] for row in read] == [row["value"] for row in plain]

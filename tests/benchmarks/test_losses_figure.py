@@ -21,9 +21,10 @@ FOUND = [Losses(0.2, 3.0, np.inf, None, np.inf), Losses(0.5, 2.5, 40.0, 0.5, np.
 
 def test_covariances_under_losses(expected: Callable[[str, str], None]) -> None:
     untold = [Losses(found.p, found.lower, None, None, np.inf) for found in FOUND]
+    seldom = [Losses(0.02, 3.0, 50.0, 0.5, 90.0), *FOUND[2:]]  # shares are never on a logarithmic scale
     nothing = [Losses(found.p, np.inf, None, None, np.inf) for found in FOUND]
     expected("losses", "\n".join(figure(covariance_under_losses(found, threshold, "of a plant").svg()) for
-                                 found, threshold in ((FOUND, 0.34), (untold, 0.0), (nothing, 0.5))))
+                                 found, threshold in ((FOUND, 0.34), (untold, 0.0), (nothing, 0.5), (seldom, 0.0))))
 
 
 def test_a_metric_over_a_key(expected: Callable[[str, str], None]) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from railstate.benchmarks.published.computed import base, faruqi2019, zou2018
+from railstate.benchmarks.published.computed import base, faruqi2019, zheng2015, zou2018
+from railstate.benchmarks.published.reproduce import plan_for
 from railstate.benchmarks.published.rows import Book, Found, ratio, reduction, root
 from railstate.scenarios.errors import Infeasible, InputError
 from railstate.scenarios.randomness import Streams
@@ -54,7 +56,7 @@ def test_what_is_asked_of_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     def bound(what: str, value: float) -> Any:
         def found(system: Any, *given: Any) -> Any:
             told.append((what, system, *given))
-            return SimpleNamespace(bound=value, K=gain + 1.0, gamma_bar=value)
+            return SimpleNamespace(bound=value, K=gain + value - 1.0, gamma_bar=value)
         return found
 
     for what, value in (("ultimate_bound", 2.0), ("certify", 3.0), ("corollary2", 0.9)):
@@ -99,3 +101,38 @@ def test_a_variant_s_design_model_starts_as_its_run_0_of_seed_0(monkeypatch: pyt
     monkeypatch.setattr(base, "load", lambda name, overrides: SimpleNamespace(setting=setting))
     drawn = Streams(0, "s", "v", (0,))("truth").normal(1).tolist()
     assert base.model_of.__wrapped__("s", "v", (("k", 1),)) == ("v", {}, "start", drawn)
+
+
+@pytest.mark.parametrize(("runs", "seed", "said"), [(0, 1, "--runs: must be at least 1"),
+                                                    (2, -1, "--seed: must be at least 0")])
+def test_numbers_of_no_run_are_not_planned(runs: int, seed: int, said: str) -> None:
+    paper = SimpleNamespace(cells=[SimpleNamespace(compute="", scenario="rap-example-1", variant="printed",
+                                                   estimator="kalman")],
+                            readings_of=lambda cell: [""], under=lambda cell, reading: cell)
+    chosen: Any = [paper]
+    with pytest.raises(InputError) as caught:
+        plan_for(chosen, runs, seed)
+    assert str(caught.value) == said
+
+
+def test_grids_and_starts_of_zheng2015(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evenly from 1 down to 0; the runs' means as the quantiles of a normal start's size, which dies out."""
+    told = list[Any]()
+
+    def model(*given: Any) -> Any:
+        told.append(given)
+        return SimpleNamespace(linear=SimpleNamespace(A=lambda k: np.diag([1.0, 1.0, 1.0, 0.5])),
+                               initial_covariance=np.diag([1.0, 1.0, 1.0, 9.0])[:, :, None])
+
+    def updates(design: Any) -> Any:
+        return {"kalman_updates_per_step": len(told[-1][2][0][1]) ** 2}
+
+    monkeypatch.setattr(zheng2015, "model_of", model)
+    monkeypatch.setattr(zheng2015, "estimator_class", lambda *_: lambda parameters: SimpleNamespace(design=updates))
+    assert zheng2015.grid_updates(NONE, "sma", 4, 2) == Found(4.0)
+    assert told == [("braking-rate", "paper", (("knowledge.grid", grid),)) for grid in (
+        (1.0, 0.666666667, 0.333333333, 0.0), (1.0, 0.0))]
+    found = zheng2015.target_error(NONE, "unmeasured", "sma-full")
+    share = 3.0 / 50**0.5 * sum(0.5**k for k in range(151)) / 151
+    runs = [share * abs(NormalDist().inv_cdf((k + 0.5) / 1000)) for k in range(1000)]
+    same(found, share * (2 / np.pi) ** 0.5, 0.0, float(np.std(runs)), runs)

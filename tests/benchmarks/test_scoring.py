@@ -7,7 +7,7 @@ import pytest
 from railstate.benchmarks.scoring.forms import BINS, add_spread, histogram_medians, quadratic_forms
 from railstate.benchmarks.scoring.kernels import lane_sum
 from railstate.benchmarks.scoring.scorer import Scorer
-from railstate.benchmarks.scoring.windows import PhaseErrors
+from railstate.benchmarks.scoring.windows import PhaseErrors, WindowErrors
 from railstate.estimators.interface import Estimate, Status
 from railstate.scenarios.machine_code import njit
 from railstate.scenarios.setting import Quantity
@@ -63,8 +63,10 @@ def test_errors_by_phase_equal_a_naive_loop() -> None:
     truth = np.stack([np.cumsum(length[:, None] * np.nan_to_num(speed), axis=0), speed], axis=1)
     mean, active = truth + rng.normal(size=truth.shape), rng.uniform(size=speed.shape) < 0.9
     mean[9, 1, 2] = 7.0
-    quantities = (Quantity("position", "m", ((0, 1.0),)), Quantity("weighted", "1", ((0, 1.0), (1, 1.0)), mean=False),
-                  Quantity("speed", "m/s", ((1, 1.0),)), Quantity("speed-front", "m/s", ((1, 1.0),)))
+    quantities = (Quantity("norm", "m", ((0, 2.0),), mean=False), Quantity("position", "m", ((0, 1.0),)),
+                  Quantity("weighted", "1", ((0, 1.0), (1, 1.0)), mean=False), Quantity("rear", "m", ((0, 2.0),)),
+                  Quantity("fast", "m/s", ((0, 1.0),), mean=False), Quantity("speed", "m/s", ((1, 1.0),)),
+                  Quantity("speed-front", "m/s", ((1, 1.0),)))
     scores = PhaseErrors(quantities, 5)
     steps = [(Estimate(mean[k]), Step(np.zeros((0, 5)), (), truth[k], active[k], length=length[k]))
              for k in range(len(length))]
@@ -87,7 +89,31 @@ def test_errors_by_phase_equal_a_naive_loop() -> None:
     for key, squares in expected.items():
         np.testing.assert_allclose(found[key], [np.sqrt(np.mean(one)) if one else np.nan for one in squares],
                                    err_msg=str(key))
-    assert PhaseErrors(quantities[:2], 5).finish() == {}
+    assert PhaseErrors(quantities[:5], 5).finish() == {}
+
+
+def test_errors_by_window_are_roots_of_means() -> None:
+    """Over the components of a mean, summed of a norm; of a run that never was in a window there is none."""
+    rng = np.random.default_rng(9)
+    truth, mean = rng.normal(size=(2, STEPS, 3, 4))
+    window = rng.integers(-1, 2, (STEPS, 4)).astype(np.int16)
+    window[:, 3] = 0
+    scores = WindowErrors(("here", "there"), QUANTITIES, 4)
+    steps = [(Estimate(mean[k]), Step(np.zeros((0, 4)), (), truth[k], np.ones(4, dtype=bool), window=window[k]))
+             for k in range(STEPS)]
+    for stretch in stretches(steps, [1, 5, 6]):
+        scores.add(stretch, SKIP)
+    with np.errstate(all="raise"):
+        found = scores.finish()
+    e, late = mean - truth, np.arange(STEPS)[:, None] >= SKIP
+    squares = {("position", "m"): (e[:, 0] ** 2 + e[:, 1] ** 2) / 2, ("speed", "m/s"): (3.6 * e[:, 2]) ** 2,
+               ("weighted", "1"): (0.5 * e[:, 0]) ** 2 + (2.0 * e[:, 2]) ** 2}
+    for (name, unit), square in squares.items():
+        for number, word in enumerate(("here", "there")):
+            mine = [square[(window[:, s] == number) & late[:, 0], s] for s in range(4)]
+            np.testing.assert_allclose(found.pop(("rmse", f"{name}-{word}", unit)), [
+                np.sqrt(one.mean()) if one.size else np.nan for one in mine], rtol=1e-12)
+    assert found == {} and not (window[SKIP:, 3] == 1).any()
 
 
 def test_metrics_equal_a_naive_loop() -> None:

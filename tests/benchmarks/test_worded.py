@@ -282,6 +282,11 @@ def test_the_record_of_an_estimator_in_words() -> None:
     assert record("other", [replace(full(), entries=plugins)]) == [
         "Least error, or tied with it, in 0 of 2 rankings.", "Undecided in 2."]
     assert record("nobody's", [replace(full(), entries=plugins)]) == []
+    twice = [replace(full(), entries=plugins, variant=variant) for variant in ("v", "w", "x", "y")]
+    assert record("ekf", twice)[:3] == [
+        "Least error, or tied with it, in 4 of 12 rankings: s/v position (a), s/w position (a), s/x position (a) and 1 "
+        "more.", "Shown to be worse in 4, at the most 2.00 times the least error: s/v position (d).",
+        "Lost runs in s/v (e, 40 of 40), s/w (e, 40 of 40), s/x (e, 40 of 40) and 1 more."]
 
 
 def test_a_table_for_files() -> None:

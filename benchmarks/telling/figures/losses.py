@@ -21,7 +21,7 @@ def covariance_under_losses(found: Sequence[Losses], threshold: float, title: st
     values = [np.array([np.nan if v is None or not np.isfinite(v) else v for v in each]) for each in (
         [item.upper for item in found], [item.mean for item in found], [item.lower for item in found])]
     shown = [(name, style, y) for (name, style), y in zip(LINES, values, strict=True) if np.isfinite(y).any()]
-    finite = np.concatenate([y[np.isfinite(y)] for _, _, y in shown] or [np.ones(1)])
+    finite = np.concatenate([y[np.isfinite(y)] for _, _, y in shown] or [[1.0]])
     edge = [("threshold", Style("ink", (1.0, 2.0)))] if threshold > 0 else []
     sheet = Sheet(title, 340.0, [150], [*((name, style) for name, style, _ in shown), *edge],
                   x_label="share of packets that arrive")
