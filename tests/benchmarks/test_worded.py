@@ -155,8 +155,8 @@ def test_numbers_of_words_over_a_folder(n: tuple[int, ...], compared: str, monke
         f"{'is' if worse == 1 else 'are'} worse, {tie} {'ties' if tie == 1 else 'tie'} within 1 % and {undecided} "
         f"{'is' if undecided == 1 else 'are'} undecided{f'; {gone} lost runs' if gone else ''}.")
     assert second == ("Lost runs: 1,234 of 12,345. "
-                      f"Of {sum(n)} covariance {'claim' if sum(n) == 1 else 'claims'} {n[0]} are too sure, "
-                      f"{n[1]} too unsure, {n[2]} consistent, 0 undecided"
+                      f"Of {sum(n)} covariance {'claim' if sum(n) == 1 else 'claims'} {n[0]} "
+                      f"{'is' if n[0] == 1 else 'are'} too sure, {n[1]} too unsure, {n[2]} consistent, 0 undecided"
                       f"{f', {n[3]} not certified' if n[3] else ''}.")
     monkeypatch.setattr(sentences, "counts", lambda cells: Counter(found))
     assert sentences.over_all([], 1)[1] == "Lost runs: 1,234 of 12,345."
