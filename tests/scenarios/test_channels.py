@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
-from railstate.scenarios.channels import Channel, Sent, gilbert_elliott
-from railstate.scenarios.channels.gilbert_elliott import bursts
+from railstate.scenarios.channels import Channel, Sent
 from railstate.scenarios.files import load
 from railstate.scenarios.model import Reception
 from railstate.scenarios.randomness import Streams
@@ -71,20 +68,26 @@ def test_round_robin_goes_round():
     np.testing.assert_array_equal(found[..., 0], found[..., 1])
 
 
-def test_try_once_discard_against_a_scalar_loop():
-    """The node of the greatest sum of (y - last sent)^2 / R; nodes never heard come first, in their order."""
+@pytest.mark.parametrize("share", [1.0, 0.6, 0.2])
+def test_try_once_discard_against_a_scalar_loop(share):
+    """The node of the greatest sum of (y - last sent)^2 / R of what is there; nodes never heard come first, in their
+    order; nobody where nothing is there."""
     readings, nodes = sent(60, 4, 3), [[0, 2], [1], [3]]
+    there = np.random.default_rng(1).random(readings.y.shape) < share
     sd = np.array([1.0, 0.3, 2.0, 0.7])
-    found = channel(kind="try-once-discard", nodes=nodes).carry(streams(3), Sent(readings.y, readings.there, sd))
+    found = channel(kind="try-once-discard", nodes=nodes).carry(streams(3), Sent(readings.y, there, sd))
     for run in range(3):
-        last = {}
+        last, heard = np.zeros(4), set()
         for k in range(60):
-            y = readings.y[k, :, run]
-            urgency = [sum((y[i] - last[i]) ** 2 / sd[i] ** 2 for i in node) if node[0] in last else np.inf
-                       for node in nodes]
-            chosen = nodes[int(np.argmax(urgency))]
-            last.update({i: y[i] for i in chosen})
-            assert np.flatnonzero(found.received[k, :, run]).tolist() == sorted(chosen)
+            y, is_there = readings.y[k, :, run], there[k, :, run]
+            urgency = [-1.0 if not is_there[node].any() else np.inf if j not in heard else
+                       sum((y[i] - last[i]) ** 2 / sd[i] ** 2 for i in node if is_there[i])
+                       for j, node in enumerate(nodes)]
+            chosen = int(np.argmax(urgency))
+            sends = [] if max(urgency) < 0 else [i for i in sorted(nodes[chosen]) if is_there[i]]
+            heard |= {chosen} if sends else set()
+            last[sends] = y[sends]
+            assert np.flatnonzero(found.received[k, :, run]).tolist() == sends
 
 
 def test_try_once_discard_of_readings_that_stand_still() -> None:
@@ -268,73 +271,3 @@ def test_tables_of_channels_that_are_none(table, said):
     with pytest.raises(ValidationError) as caught:
         channel(**table)
     assert [error["msg"] for error in caught.value.errors()] == [f"Value error, {said}"]
-
-
-class Drawn:
-    """Draws one after the other, the same in both runs."""
-
-    runs = (0, 1)
-
-    def __init__(self, *values):
-        self.values = list(values)
-
-    def uniform(self, low, high, *shape):
-        assert (low, high) == (0.0, 1.0)
-        return np.repeat(np.array([self.values.pop(0) for _ in range(math.prod(shape))]).reshape(shape)[..., None], 2,
-                         axis=-1)
-
-    def integers(self, low, high, *shape):
-        return np.full((*shape, 2), low)
-
-
-LESS = 2**-53
-
-
-def test_what_is_drawn_at_the_edges():
-    """Each with just the probability it says: a draw lies in [0, 1), and one that is p is no arrival."""
-    def first(draws, steps=0, **table):
-        return channel(**table).draw(Drawn(*draws), steps or len(draws), 2)[:, 0, 0].tolist()
-
-    assert first([1 - LESS], kind="bernoulli", p=1.0) == [True]
-    assert first([0.5, 0.5 - LESS], kind="bernoulli", p=0.5) == [False, True]
-    assert first([0.25, 0.25 - LESS], kind="csma", p=0.5, trains=2) == [False, True]
-    moving = channel(kind="csma", trains=[2, 4], traffic="birth-death", rate=0.25)
-    draws = [0.25, 0.25 - LESS, 0.75, 0.75 + LESS, 0.9, 0.0, 0.0, 0.0, 0.5]
-    assert moving.contending(Drawn(*draws), 9)[:, 1].tolist() == [2, 3, 3, 2, 2, 3, 4, 4, 4]
-    assert bursts(Drawn(0.25, 0.25, 0.25 - LESS, 0.75, 0.75 - LESS), 5, 0.25, 0.75)[:, 0].tolist() == [
-        False, False, True, True, False]
-    burst = {"kind": "gilbert-elliott", "p_good_bad": 0.5, "p_bad_good": 0.5, "p_good": 0.75, "p_bad": 0.25}
-    for state, p in ((0.9, 0.75), (0.1, 0.25)):  # the states are drawn from a stream of their own beside it
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(gilbert_elliott, "beside", lambda random, name, state=state: Drawn(state))
-            assert [first([draw], **burst) for draw in (p, p - LESS)] == [[False], [True]]
-    nodes = [[0], [1]]
-    assert first([0.25, 0.25 - LESS], kind="random-access", p=[0.25, 0.75], nodes=nodes) == [False, True]
-    chain = [[0.25, 0.75], [0.5, 0.5]]
-    assert first([0.1, 0.25, 0.5 - LESS, 0.25 - LESS, 0.3, 0.5], kind="markov-random-access", transition=chain,
-                 nodes=nodes) == [True, False, True, True, False, False]
-    assert channel(kind="markov-random-access", stay=0.25).chain(1).tolist() == [[1.0]]
-    assert channel(kind="markov-random-access", stay=0.25).chain(4)[0].tolist() == [0.25] * 4
-    late = channel(kind="delay", steps=2, loss={"kind": "bernoulli", "p": 0.5})
-    assert late.draw(Drawn(0.5, 0.4), 2, 1)[:, 0, 0].tolist() == [False, True]
-    with pytest.raises(NotImplementedError):
-        channel(kind="try-once-discard").draw(Drawn(), 1, 1)
-
-
-def test_who_carries_what_to_the_letter():
-    """A node without a reading does not contend, nor does one of which only some readings are there send the rest."""
-    y = np.array([[1.0, 5.0, 2.0], [1.0, 5.0, 9.0], [3.0, 5.0, 9.0], [3.0, 7.5, 9.0]])[..., None]
-    there = np.array([[0, 1, 1], [1, 0, 0], [0, 0, 0], [1, 1, 1]], dtype=bool)[..., None]
-    kind = channel(kind="try-once-discard", nodes=[[0], [1, 2]])
-    found = kind.carry(streams(1), Sent(y, there, np.array([1.0, 2.0, 10.0])))
-    assert found.received[..., 0].astype(int).tolist() == [[0, 1, 1], [1, 0, 0], [0, 0, 0], [1, 0, 0]]
-    for table, ny, said in (
-            ({"kind": "round-robin", "nodes": [[0], [2]]}, 2, "elements 0, 2, but there are 2: each element 0 .. 1"),
-            ({"kind": "markov-random-access", "transition": [[1.0]]}, 2, "x.transition has 1 rows for 2 nodes"),
-            ({"kind": "delay", "loss": {"kind": "round-robin", "nodes": [[1]]}}, 1, "x.loss.nodes list")):
-        with pytest.raises(ValueError, match=re.escape(said)):
-            channel(**table).check(ny, "x")
-    for kind in ({"kind": "round-robin"}, {"kind": "random-access", "p": [0.5, 0.5]}, {"kind": "markov-random-access",
-                                                                                       "stay": 0.5}):
-        with pytest.raises(ValueError, match=r"^channel\.nodes list the measurement elements 0, 2, but there are 2: "):
-            channel(**kind, nodes=[[0], [2]]).draw(streams(1)("channel"), 1, 2)

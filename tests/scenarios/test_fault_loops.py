@@ -13,9 +13,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pydantic import TypeAdapter, ValidationError
 from railstate.scenarios import observation
 from railstate.scenarios.arrays import Array, Mask
+from railstate.scenarios.channels import Channel, Sent
 from railstate.scenarios.faults import Fault, Readings, base, failing, noise, place
 from railstate.scenarios.randomness import RunRandom, Streams
-from railstate.scenarios.world import Sensing
+from railstate.scenarios.world import Sensing, Trajectory
 from scipy.stats import chi2
 
 STEPS, RUNS = 40, 5
@@ -67,6 +68,48 @@ def test_when_a_fault_is_there(window: dict[str, Any]) -> None:
     for times in (TIMES, TIMES[:1]):
         for found, wanted in zip(fault.present(stream(), times), present(fault, stream(), times), strict=True):
             assert_array_equal(found, wanted)
+
+
+class Given:
+    """Draws one array after the other, of one run."""
+
+    runs = (0,)
+
+    def __init__(self, *draws: list[float]) -> None:
+        self.draws = list(draws)
+
+    def uniform(self, low: float, high: float, *shape: int) -> Array:
+        assert (low, high) == (0.0, 1.0)
+        return np.reshape(self.draws.pop(0), (*shape, 1)).astype(float)
+
+
+def test_where_a_fault_begins_and_ends_to_the_bit() -> None:
+    """From `from`, a billionth of a second before it; to `to`, likewise; an episode as long as it lasts."""
+    def there(times: list[float], *draws: list[float], **window: float) -> list[bool]:
+        return made(kind="drift", **window).present(Given(*draws), np.array(times))[0][:, 0].tolist()
+
+    begin, end = 2.0 - 1e-9, 17.0 - 1e-9
+    times = [2.0 - 1.2e-9, np.nextafter(begin, 0.0), begin, 2.0, 17.0 - 1.2e-9, np.nextafter(end, 0.0), end, 17.0]
+    assert there(times, **{"from": 2.0, "to": 17.0}) == [False, False, True, True, True, True, False, False]
+    jump = made(**{"kind": "jump", "from": 2.0, "size": 3.0})
+    assert jump.shift(np.array(times[:4])).tolist() == [0.0, 0.0, 3.0, 3.0]
+    lasts = 1.5 - 1e-9
+    for last, draw, inside in ((lasts, 0.0, True), (lasts, 1.0, False), (np.nextafter(lasts, 0.0), 1.0, True)):
+        assert there([0.0, last], [0.0, draw], every=2.0, lasts=1.5) == [True, inside]
+    assert there([0.0, 1.0, 1.5 - 1.2e-9], [0.0, 1.0, 0.0], every=2.0, lasts=1.5) == [True, True, True]
+    for times, length in (([0.5, 1.0], 0.5), ([3.0], 1.0)):  # a run of one step has no other to tell its length
+        share = -np.expm1(-length / 2.0)
+        for draw, begins in ((share, False), (np.nextafter(share, 0.0), True)):
+            assert there(times, [draw, *[1.0] * (len(times) - 1)], every=2.0)[0] is begins
+
+
+def test_a_draw_that_is_the_share_is_no_outlier() -> None:
+    none = np.zeros((3, 1, 1), dtype=bool)
+    given = Readings(Sensing(("a",), np.ones(1)), np.arange(3.0), np.zeros((3, 1, 1)), ~none, None, None, none,
+                     none.copy())
+    below = [0.25, float(np.nextafter(0.25, 0)), 0.0]
+    made(kind="outliers", share=0.25, size=2.0).apply(Given(below, [0.0, 0.5, float(np.nextafter(0.5, 0))]), given)
+    assert given.y.ravel().tolist() == [0.0, -2.0, 2.0] and given.faulty.ravel().tolist() == [False, True, True]
 
 
 def outliers(fault: noise.Outliers, random: RunRandom, given: Readings, elements: list[int]) -> Mask:
@@ -153,10 +196,10 @@ def test_every_kind_is_its_loop(kind: dict[str, Any], more: dict[str, Any]) -> N
 
 
 @pytest.mark.parametrize("clean", [True, False])
-@pytest.mark.parametrize("offset", [0.75, -1.25])
-def test_wrong_stamps_are_a_straight_line_between_steps(clean: bool, offset: float) -> None:
+@pytest.mark.parametrize(("offset", "window"), [(0.75, EPISODES), (-1.25, EPISODES), (0.25, {}), (-0.25, {})])
+def test_wrong_stamps_are_a_straight_line_between_steps(clean: bool, offset: float, window: dict[str, Any]) -> None:
     """Of the noise-free readings where those are known, the noise staying; before the first step it is the first."""
-    fault = made(kind="stamps", offset=offset, sensors=["b"], **EPISODES)
+    fault = made(kind="stamps", offset=offset, sensors=["b"], **window)
     found, given = readings(clean), readings(clean)
     fault.apply(stream(), found)
     inside, wanted = present(fault, stream())[0], given.y.copy()
@@ -174,20 +217,20 @@ def test_wrong_stamps_are_a_straight_line_between_steps(clean: bool, offset: flo
 
 def test_a_vehicle_that_is_somewhere_else() -> None:
     """Truth and readings move by what a metre along the line makes of them, the readings are right."""
-    fault = made(**{"kind": "jump", "size": 4.0, "from": 3.0})
+    fault = made(**{"kind": "jump", "size": 1.0, "from": 3.0})
     assert fault.ends() == 3.0 and made(kind="jump", truth=False).ends() == np.inf
     gone = [time >= 3.0 - 1e-9 for time in TIMES]
-    assert_array_equal(fault.shift(TIMES), np.where(gone, 4.0, 0.0))
+    assert_array_equal(fault.shift(TIMES), np.where(gone, 1.0, 0.0))
     assert made(kind="jump", truth=False).shift(TIMES) == 0.0
     for clean in (True, False):
         found, wanted = readings(clean), readings(clean)
         fault.apply(stream(), found)
         assert wanted.truth is not None
         for k in np.flatnonzero(gone):
-            wanted.truth[k, 1] += 4.0
+            wanted.truth[k, 1] += 1.0
             for values in (wanted.y, *([] if wanted.clean is None else [wanted.clean])):
-                values[k, 0] += 4.0
-                values[k, 2] -= 8.0
+                values[k, 0] += 1.0
+                values[k, 2] -= 2.0
         for mine, theirs in ((found.truth, wanted.truth), (found.y, wanted.y), (found.clean, wanted.clean),
                              (found.there, wanted.there), (found.faulty, wanted.faulty)):
             assert (mine is None and theirs is None) or np.array_equal(mine, theirs)  # pyright: ignore
@@ -230,6 +273,26 @@ def test_entries_in_order() -> None:
         assert [error["msg"] for error in caught.value.errors()] == [f"Value error, {said}"]
     assert made(**{"kind": "drift", "from": 2.0, "to": 2.1}).label == "drift"
     assert made(kind="drift", name="mine", every=1.0, lasts=2.0).label == "mine"
+
+
+def test_what_is_heard_in_the_end() -> None:
+    """After the faults the channel; the truth where the vehicle has been moved."""
+    given, streams = readings(), Streams(4, "s", "v", range(RUNS))
+    assert given.truth is not None
+    before = Trajectory(given.truth, np.zeros((STEPS, 0, RUNS)), given.y, given.there,
+                        np.ones((STEPS, RUNS), dtype=bool), np.full(STEPS, 0.5), np.zeros((2, RUNS)))
+    late: Any = TypeAdapter(Channel).validate_python({"kind": "delay", "steps": [0, 2]})
+    for faults in ([], [made(kind="drift", told=True, to=4.0)], [made(kind="jump", size=1.0)]):
+        heard = observation.observe(before, streams, given.sensing, late, faults, given.clean)
+        wrong = observation.faulted(given.y, given.there, np.cumsum(before.lengths), streams, given.sensing, faults,
+                                    given.clean, given.truth)
+        arrived = late.carry(streams, Sent(wrong.y, wrong.there, given.sensing.sd))
+        for found, wanted in ((heard.y, arrived.y), (heard.received, arrived.received), (heard.late, arrived.late),
+                              (heard.truth, wrong.truth), (heard.faulty, wrong.faulty if faults else None)):
+            assert (found is None and wanted is None) or np.array_equal(found, wanted)
+        assert (heard.u is before.u, heard.active is before.active) == (True, True)
+    bare = observation.faulted(given.y, given.there, TIMES, streams, given.sensing, [made(kind="drift")])
+    assert bare.truth is None and bare.clean is None
 
 
 def test_what_faults_leave_alone() -> None:
