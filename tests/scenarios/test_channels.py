@@ -74,6 +74,7 @@ def test_try_once_discard_against_a_scalar_loop(share):
     order; nobody where nothing is there."""
     readings, nodes = sent(60, 4, 3), [[0, 2], [1], [3]]
     there = np.random.default_rng(1).random(readings.y.shape) < share
+    there[0] = False
     sd = np.array([1.0, 0.3, 2.0, 0.7])
     found = channel(kind="try-once-discard", nodes=nodes).carry(streams(3), Sent(readings.y, there, sd))
     for run in range(3):
