@@ -184,7 +184,7 @@ def test_workers_of_a_pool(error: Exception | None, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(gc, "get_freeze_count", lambda: next(counts))
     monkeypatch.setattr(gc, "freeze", lambda: asked.append("frozen"))
     monkeypatch.setattr(atexit, "register", lambda call: asked.append(call is gc.freeze))
-    monkeypatch.setattr(runner, "execute", lambda task: f"{task} done")
+    monkeypatch.setattr(runner, "execute", lambda task: asked.append(task) or f"{task} done")
     found, tasks, how = list[Any](), ["a", "b"], Machinery(3, timeout=4.5)
 
     def all_of() -> None:
@@ -197,6 +197,6 @@ def test_workers_of_a_pool(error: Exception | None, monkeypatch: pytest.MonkeyPa
         lost = not isinstance(error, ArithmeticError)
         with pytest.raises(runner._Lost if lost else ArithmeticError):
             all_of()
-        assert (asked.pop() == {"wait": False, "kill_workers": True}) if lost else asked[-1] is True
+        assert (asked.pop() == {"wait": False, "kill_workers": True}) if lost else asked[-1] == "b"
     assert asked == [{"n_jobs": 3, "backend": "loky", "timeout": 4.5, "batch_size": 1, "return_as":
-                      "generator_unordered", "pre_dispatch": "2*n_jobs"}, "frozen", True]
+                      "generator_unordered", "pre_dispatch": "2*n_jobs"}, "frozen", True, "a", "b"]
