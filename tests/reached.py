@@ -137,9 +137,10 @@ class Tests:
         seconds |= {name: 1.0 for name in self.unknown if name.partition("::")[0] in by_name}
         ordered = sorted(seconds, key=lambda name: (
             SETS_OUT in name, name != LOADING, name.partition("::")[0] not in by_name, seconds[name]))
-        rest = [name for name in ordered if name not in self.whole]
+        whole = {name for name in ordered if name.partition("[")[0] in self.whole}
+        rest = [name for name in ordered if name not in whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
-        taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
+        taken = {*rest[:max(room, 1)], *whole}
         return [name for name in ordered if name in taken]
 
     def beyond(self, fault: Fault, asked: list[str], most: float) -> list[str]:

@@ -119,14 +119,14 @@ def test_machines_that_lack_something(monkeypatch: pytest.MonkeyPatch) -> None:
     assert refusal(_client("tcp://x:1").__enter__) == (
         "--backend dask: dask is not installed; pip install 'railstate[cluster]'")
     said = "processor\t: 0\nmodel name\t: Fast: 3 GHz \nmodel name\t: other\n"
-    monkeypatch.setattr(Path, "read_text", lambda self: said if str(self) == "/proc/cpuinfo" else "")
+    monkeypatch.setattr(Path, "read_text", lambda self, encoding: said if str(self) == "/proc/cpuinfo" else "")
     monkeypatch.setattr(platform, "processor", lambda: "")
     monkeypatch.setattr(platform, "machine", lambda: "x86")
     assert provenance._processor() == "Fast: 3 GHz"
     said = "processor\t: 0\n"
     assert provenance._processor() == "x86"
 
-    def none(self: Path) -> str:
+    def none(self: Path, encoding: str) -> str:
         raise FileNotFoundError
 
     monkeypatch.setattr(Path, "read_text", none)

@@ -134,6 +134,7 @@ def test_processes_whose_lines_do_not_match(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_at_least_one_of_all(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     asked = list[Any]()
+    monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setattr(speed, "race", lambda *given: asked.append(given) or [{"what": "it"}])
     for words, said in (({"repeats": 0}, "--repeats: must be at least 1"), ({"repeats": -1}, "--repeats: must be at "
                         "least 1"), ({"processes": 0}, "--processes: must be at least 1"), ({"only": "a,robust,b"},

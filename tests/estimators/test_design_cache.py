@@ -50,7 +50,7 @@ def test_what_stands_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_where_designs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("RAILSTATE_CACHE")
+    monkeypatch.delenv("RAILSTATE_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert design_cache.folder() == tmp_path / "railstate"
     (tmp_path / "file").write_text("")
