@@ -20,7 +20,7 @@ from typing import Any
 from mutants import PACKAGES, Fault
 
 WHOLE = re.compile(r"^def (test_\w+)\([^)]*\bexpected: (?:Expected|Callable\[\[str, str\], None\])", re.MULTILINE)
-"""Tests that compare whole outputs: asked however long they take."""
+"""Tests that compare whole outputs: asked however long they take, those with cases as others are."""
 IMPORT = re.compile(r"^from railstate[\w.]* import (?:\([^)]*\)|.*)", re.MULTILINE)
 APART = re.compile(r"\b(subprocess|Popen|Fresh|fork|isolation|isolated|jobs|half)\b")
 """Words of tests that start processes, such as those of plug-ins: nothing is seen of what is reached there."""
@@ -137,10 +137,9 @@ class Tests:
         seconds |= {name: 1.0 for name in self.unknown if name.partition("::")[0] in by_name}
         ordered = sorted(seconds, key=lambda name: (
             SETS_OUT in name, name != LOADING, name.partition("::")[0] not in by_name, seconds[name]))
-        whole = {name for name in ordered if name.partition("[")[0] in self.whole}
-        rest = [name for name in ordered if name not in whole]
+        rest = [name for name in ordered if name not in self.whole]
         room = bisect_right(list(accumulate(map(seconds.__getitem__, rest))), most)
-        taken = {*rest[:max(room, 1)], *whole}
+        taken = {*rest[:max(room, 1)], *(name for name in ordered if name in self.whole)}
         return [name for name in ordered if name in taken]
 
     def beyond(self, fault: Fault, asked: list[str], most: float) -> list[str]:
