@@ -271,6 +271,14 @@ def test_friedman_ranks_and_p_agree_with_scipy(rng: np.random.Generator) -> None
     assert found.difference == pytest.approx(2.569 * np.sqrt(4 * 5 / (6 * 50)), rel=1e-3)
 
 
+def test_ranks_of_equals_and_of_two() -> None:
+    """Equals everywhere share a rank, and no test of theirs can doubt it; of two there is no test."""
+    found = ranks.friedman(np.repeat([[1.0], [2.0], [np.inf]], 3, axis=1))
+    assert (found.mean.tolist(), found.p, found.cliques, found.n) == ([2.0] * 3, 1.0, [(0, 1, 2)], 3)
+    assert ranks.friedman(np.ones((4, 2))).p == 1.0
+    assert np.isnan(ranks.friedman(np.array([[1.0, 2.0], [2.0, 1.0]])).p)
+
+
 def test_cliques_join_the_near_and_settings_are_the_blocks(rng: np.random.Generator) -> None:
     grid = rng.gamma(20, size=(200, 1)) * rng.lognormal(0, 0.1, (200, 4)) * np.array([[2.0, 1.0, 2.0, 1.0]])
     found = ranks.friedman(grid)

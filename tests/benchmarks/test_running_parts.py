@@ -234,6 +234,14 @@ def test_what_a_process_sends_back_has_the_form_of_a_result() -> None:
                                                  3 + len(bad) + len(others))
 
 
+def test_every_status_may_come_back_in_one_task() -> None:
+    task: Any = SimpleNamespace(cell=SimpleNamespace(scenario="s", variant="v"), labels=("a",),
+                                runs=tuple(range(len(Status))))
+    rows = lost(task, Status.failed, "why").rows
+    rows = rows.set_column(rows.column_names.index("status"), "status", pa.array([status.name for status in Status]))
+    assert sound(task, {"rows": rows}) == Result(task, rows, None, None)
+
+
 def test_tables_are_those_of_pyarrow_s_own_arrays():
     columns = {"none": [], "same": ["Zürich"] * 3, "texts": ["", "Čapek", ""], "numbers": np.arange(6.0)[::2],
                "counts": np.array([3, -1, 2**31 - 1], dtype=np.int32), "unknown": pa.nulls(3, pa.int32()),

@@ -11,6 +11,8 @@ import pytest
 from railstate.scenarios.files import load
 from railstate.scenarios.measurement import Interval, untold
 from railstate.scenarios.odometry.config import Plant
+from railstate.scenarios.railway.odometer.motion import counted
+from railstate.scenarios.randomness import Streams
 from scipy.linalg import expm
 
 
@@ -64,3 +66,48 @@ def test_what_stands_for_places_on_a_line_of_ones_own() -> None:
     assert Plant._own_line({**table, "elsewhere": {}}) == {
         **table, "elsewhere": {}, "balises": {"every": None}, "tunnels": [], "adhesion": {"low": "stops", "open": 0.2}}
     assert Plant._own_line(5) == 5
+
+
+def test_many_steps_are_those_one_by_one() -> None:
+    """Until a balise is read or a run ends; none from a step with a balise inside."""
+    world = load("odometry").setting("dry").world(Streams(3, "odometry", "dry", (0, 1, 2)))
+    nothing, most, k, straight = np.zeros((0, 3)), 400, 0, 0
+    while k < world.steps and world.active[k].any():
+        parts, steps = world.straight(k, most), [world.step(k, nothing)]
+        assert (parts is None) == (len(steps[0].events) > 1)
+        while parts is not None and len(steps) < most and (at := k + len(steps)) < world.steps and (
+                world.active[at] == world.active[k]).all() and len((step := world.step(at, nothing)).events) == 1:
+            steps.append(step)
+        if parts is not None:
+            straight, course, last = straight + 1, parts.course, steps[-1]
+            assert (course.step, course.period, parts.window) == (k + 1, last.length, None)
+            for found, wanted in (
+                    (course.times, [step.number * world.period for step in steps]),
+                    (course.u, [step.u for step in steps]), (course.y, [step.events[0].y for step in steps]),
+                    (course.received, [step.events[0].received & step.active for step in steps]),
+                    *((getattr(parts, name), [getattr(step, name) for step in steps])
+                      for name in ("truth", "active", "scored", "reference"))):
+                np.testing.assert_allclose(np.asarray(found, float), np.asarray(wanted, float), rtol=1e-15)
+            assert (parts.last.number, parts.last.start) == (last.number, last.start)
+            np.testing.assert_array_equal(parts.last.truth, last.truth)
+        k += len(steps)
+    assert straight > 10
+
+
+def test_what_wheels_count() -> None:
+    """Of one wheel; of both the faster in braking, the slower in traction, else their mean; nothing in no time."""
+    rng = np.random.default_rng(4)
+    x, distance, speed, share = rng.normal(size=(3, 2, 8)), *rng.normal(size=(2, 2, 8)), rng.random(8)
+    effort, h = np.array([0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 2.0, 0.0]), np.array([1.0] * 7 + [0.0])
+    speed[:, 2:6] = [[1.0, 2.0, 1.0, 2.0], [2.0, 1.0, 2.0, 1.0]]
+    for which in range(3):
+        out = np.full((2, 2, 8), np.nan)
+        counted(x, effort, distance, speed, which, share, h, out)
+        by = {0: [1.0, 0.0], 1: [0.0, 1.0]}
+        for r in range(8):
+            weight = by[which] if which < 2 else [0.5, 0.5] if effort[r] == 0 else by[int(np.argmax(
+                -np.sign(effort[r]) * speed[:, r]))]
+            for p in range(2):
+                wanted = (x[0, p, r] + share[r] * (weight @ distance[:, r]), weight @ speed[:, r]) if h[r] else (
+                    x[0, p, r], x[1, p, r])
+                np.testing.assert_allclose(out[:, p, r], wanted, rtol=1e-14)
