@@ -111,7 +111,8 @@ def test_a_train_s_own_odometry_and_a_scenario_file_of_it(tmp_path, inspect):
     assert "railstate run recorded-odometry" in said and "sweep: left out" in said
     own, built_in = load(str(tmp_path / "my.toml")), load("recorded-odometry")
     assert own.variants["wheels"]["name"] == "my" and set(own.variants) == {"wheels", "as-recorded"}
-    assert own.variants["wheels"]["estimators"] == built_in.variants["wheels"]["estimators"]
+    assert {key: own.variants["wheels"][key] for key in ("estimators", "requirements")} == {
+        key: built_in.variants["wheels"][key] for key in ("estimators", "requirements")}
     assert own.setting("wheels").sensors == ("wheel-a", "wheel-b", "balise")
     code, _, complaint = inspect(tmp_path / "metro.csv", "--out", tmp_path / "none" / "my.toml")
     assert code == 2 and "cannot be written" in complaint

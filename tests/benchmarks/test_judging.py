@@ -276,6 +276,7 @@ def test_ranks_of_equals_and_of_two() -> None:
     found = ranks.friedman(np.repeat([[1.0], [2.0], [np.inf]], 3, axis=1))
     assert (found.mean.tolist(), found.p, found.cliques, found.n) == ([2.0] * 3, 1.0, [(0, 1, 2)], 3)
     assert ranks.friedman(np.ones((4, 2))).p == 1.0
+    assert ranks.friedman(np.tile([3.0, 1.0, 2.0], (50, 1))).cliques == []  # each alone
     assert np.isnan(ranks.friedman(np.array([[1.0, 2.0], [2.0, 1.0]])).p)
 
 

@@ -7,12 +7,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from railstate.benchmarks.planning.plan import make_plan
 from railstate.benchmarks.scoring.columns import PHASES
-from railstate.benchmarks.telling.figures import catalogue, data, moving_block, requirements, trust
+from railstate.benchmarks.telling.figures import catalogue, data, moving_block, requirements, sections, trust
+from railstate.benchmarks.telling.figures.axes import Style
 from railstate.benchmarks.telling.figures.catalogue import FIGURES, Figure, of_scenario
 from railstate.benchmarks.telling.figures.data import CROWD, CellResults, Curve, Kept, Results, assign_styles
 from railstate.benchmarks.telling.report import plots
@@ -169,3 +172,15 @@ def test_what_there_is_nothing_to_draw_of(results: Results) -> None:
             data.load_results(results.folder)
     assert str(caught.value) == (f"{results.folder}: verdicts.parquet tells of braking-rate/paper, and no rows are "
                                  "there; remove it")
+
+
+def test_sections_lie_evenly_however_many_there_are() -> None:
+    lines = [{"metric": "rmse", "quantity": f"speed-{place}", "unit": "m/s", "shown_unit": "m/s", "factor": 1.0,
+              "estimator": "a", "value": 2.0} for place in range(1, 31)]
+    style = Style("ink")
+    cell: Any = SimpleNamespace(of=lambda *_: lines, about={"quantities": ["speed"]}, ran=["a"], width=430.0, key="s/v",
+                                styled=lambda labels: [(label, style) for label in labels], styles={"a": style})
+    drawn = sections.errors_by_section(cell)
+    assert drawn and re.findall(r">([^<]+)</text>", drawn.svg())[6:-2] == [str(place) for place in range(2, 31, 2)]
+    [line] = re.findall(r'stroke-width="10" d="M435 186l([^"]*)"', drawn.svg())
+    assert len(steps := line.split(" ")) == 58 and {*steps[::2]} == {"128", "129"} and {*steps[1::2]} == {"0"}

@@ -152,6 +152,15 @@ def test_parts_of_a_step_add_up_for_an_extra_state():
     assert not one(x, u, Interval(1, 0.0, 0.0, 0.0)).any()
 
 
+@pytest.mark.parametrize(("use", "enters"), [
+    (["position", "speed", "radar"], [0.125, 0.5, 0.0]),
+    (["position", "wheel-a", "radar"], [0.125, 0.5, 0.125, 0.0, 0.0])])
+def test_a_disturbance_moves_the_train_and_what_it_travelled_not_scales(use: list[str], enters: list[float]) -> None:
+    setting = load("ningbo-metro", {"sensors.use": use}, only="white").setting("white")
+    gain = setting.extras({})["disturbance"][0].gain
+    assert callable(gain) and gain(Interval(1, 0.5, 0.5)).tolist() == [[value] for value in enters]
+
+
 def test_the_augmented_filter_is_scored_on_the_settings_own_states_and_beats_white_noise():
     """A constant disturbance, which white noise is not: the speed's RMSE falls to less than half."""
     setting = load("ningbo-metro").setting("constant")
