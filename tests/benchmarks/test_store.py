@@ -258,6 +258,8 @@ def test_older_and_newer_folders_are_refused(railstate: Command) -> None:
         for words in (("report", "out"), (*CART, "-e", "kalman", "--runs", 2, "--out", "out")):
             refused = railstate(*words)
             assert refused.code == 2 and "was written by railstate" in refused.err and refused.err.count("\n") == 1
+    path.write_text(json.dumps({**content, "schema_version": "1" * 30, "railstate": "v" * 50}))  # named, not all of it
+    assert f"was written by railstate {'v' * 40} (folders of version {'1' * 20}; this" in railstate("report", "out").err
 
 
 def test_other_versions_are_warned_of(railstate: Command) -> None:

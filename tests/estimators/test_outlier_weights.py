@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from railstate.estimators.outliers.base import Reading, ratio_limit
+from railstate.estimators.outliers.kernels import correct
 from railstate.estimators.outliers.reopening import Memory, Reopening
 from railstate.estimators.registry import estimators
 from railstate.scenarios.errors import InputError
@@ -117,3 +118,14 @@ def test_where_a_gate_that_opens_goes() -> None:
     assert gate._mean.tolist() == [[1, 1], [2, 2 - 3]]
     assert gate._covariance[..., 0].tolist() == [[0, 2], [4, 6]]
     assert gate._covariance[..., 1].tolist() == [[1, 0], [0, 7 + 8 / 4 / 4]]
+
+
+def test_a_reading_whose_innovation_has_no_variance_fails_its_run_alone() -> None:
+    """Where it is received and has a weight; the others are corrected, those that failed stay as they are."""
+    mean, covariance, failed = np.ones((1, 5)), np.ones((1, 1, 5)), np.zeros(5, dtype=bool)
+    variance, weight = np.array([2.0, 0.0, -1.0, np.nan, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+    received = np.array([True, True, False, True, True])
+    assert correct(mean, covariance, np.ones((1, 1)), np.ones((1, 5)), np.full(5, 4.0), variance, np.ones(5), weight,
+                   received, failed) == 2
+    assert failed.tolist() == [False, True, False, True, False]
+    assert mean.tolist() == [[3.0, 1.0, 1.0, 1.0, 1.0]] and covariance.tolist() == [[[0.5, 1.0, 1.0, 1.0, 1.0]]]

@@ -317,3 +317,8 @@ def test_what_faults_leave_alone() -> None:
     assert found.truth is not given.truth and found.clean is not given.clean
     for kind in (failing.Stuck, failing.Drift, place.Stamps, noise.StudentT):
         assert kind.beforehand == (kind is not failing.Drift)
+
+
+def test_a_jump_of_which_nothing_is_said_moves_the_vehicle() -> None:
+    jump = TypeAdapter(Fault).validate_python({"kind": "jump", "from": 5.0})
+    assert np.asarray(jump.shift(np.array([4.0, 5.0, 6.0]))).tolist() == [0.0, 30.0, 30.0] and jump.ends() == 5.0

@@ -337,3 +337,14 @@ def test_places_of_balises() -> None:
                         (table(name=["a"], s_m=[float("nan")]), "a balise has no place")):
         with refused(f"plant.balises: f: {said}"):
             wheels.balises_in(given)
+
+
+def test_wheels_are_heard_where_all_have_a_count() -> None:
+    nan, said = np.nan, list[str]()
+    found = {"wheel-a": np.array([0.0, 1.0, nan, 3.0, 4.0, nan]), "wheel-b": np.array([0.0, nan, 2.0, 3.0, 5.0, 6.0]),
+             "speed": np.arange(6.0)}
+    wheels.together("trip.csv", found, said)
+    np.testing.assert_array_equal(found["wheel-a"], [0.0, nan, nan, 3.0, 4.0, nan])
+    np.testing.assert_array_equal(found["wheel-b"], [0.0, nan, nan, 3.0, 5.0, nan])
+    np.testing.assert_array_equal(found["speed"], np.arange(6.0))
+    assert said == ["3 rows have a count of one wheel only: taken with the next of both"]
