@@ -59,7 +59,7 @@ class FilterpyExtended(FilterpyFilter):
 class FilterpyUnscented(FilterpyFilter):
     """filterpy's UKF with its van der Merwe or Julier points, which it redraws for the update.
 
-    It redraws them in predict alone; drawn here they are the same, and there are some without a step before."""
+    It draws them in predict alone, so a measurement without a step before it draws them here."""
 
     class Parameters(UnscentedKalman.Parameters):
         @model_validator(mode="after")
@@ -82,15 +82,19 @@ class FilterpyUnscented(FilterpyFilter):
                   else MerweScaledSigmaPoints(n, p.alpha, p.beta, kappa))
         filter: Any = UnscentedKalmanFilter(n, model.ny, 1.0, model.h, model.f, points)
         filter.x, filter.P = model.x0, model.P0
+        filter.drawn = False
         return filter
 
     def predict_run(self, filter: Any, model: RunModel, u: Array, interval: Interval) -> None:
         filter.Q = model.Q(filter.x, u, interval)
         filter.predict(fx=lambda x, dt: model.f(x, u, interval))
+        filter.drawn = True
 
     def update_run(self, filter: Any, model: RunModel, y: Array, got: Indices) -> None:
-        filter.sigmas_f = filter.points_fn.sigma_points(filter.x, filter.P)
+        if not filter.drawn:
+            filter.sigmas_f = filter.points_fn.sigma_points(filter.x, filter.P)
         filter.update(y, R=model.R[np.ix_(got, got)], hx=lambda x: model.h(x)[got])
+        filter.drawn = False
 
 
 class FilterpyCubature(FilterpyFilter):
