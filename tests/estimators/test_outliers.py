@@ -302,29 +302,6 @@ def test_the_time_rule_opens_after_its_time_and_together():
         reached(sensors=["sonar"])
 
 
-def test_curvature_is_the_jacobian_s_differences():
-    """Points at 1e-4 of each state to either side, or of 1; half the traces of H_i P and of H_i P H_j P."""
-    rng = np.random.default_rng(3)
-    half, asked = rng.normal(size=(3, 2, 2)), []
-    H, root = half + half.swapaxes(1, 2), rng.normal(size=(2, 2, 4))
-    P, x = np.einsum("abs,cbs->acs", root, root), np.array([[0.5, -1.0, 1.25, -3e3], [0.0, 40.0, -0.75, 2.0]])
-    estimator = estimators()["ekf-second-order"]({})
-    estimator._mean, estimator._covariance, estimator.runs = x, P, 4
-
-    def jacobian(at):
-        asked.append(at)
-        return np.einsum("iab,bs->ias", H, at)
-
-    shift, spread = estimator._curvature(jacobian, 3)
-    for c in range(2):
-        for side, found in ((1, asked[2 * c]), (-1, asked[2 * c + 1])):
-            wanted = x.copy()
-            wanted[c] += side * 1e-4 * np.maximum(np.abs(x[c]), 1.0)
-            np.testing.assert_array_equal(found, wanted)
-    np.testing.assert_allclose(shift, 0.5 * np.einsum("iab,bas->is", H, P), rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(spread, 0.5 * np.einsum("iab,bcs,jcd,das->ijs", H, P, H, P), rtol=1e-6, atol=1e-6)
-
-
 def test_second_order_filter_on_a_square():
     """x+ = x + c x^2, P- = F P F' + 1/2 (2 c P)^2 + Q, x- = f + c P: exact for a quadratic model."""
     c, q = 0.03, 0.1
